@@ -63,6 +63,10 @@ pub(crate) struct Responses {
     of_scales: Vec<Vec<Vec<Complex<f64>>>>,
     frequencies_hz: Vec<f64>,
     fundamental_hz: f64,
+    /// Distance of the tried delays (s).
+    delay_step_s: f64,
+    /// `exp(iωτ)` per tried delay and bin.
+    turns: Vec<Vec<Complex<f64>>>,
 }
 
 /// The relation of one channel to the common motion of others.
@@ -103,8 +107,16 @@ impl Responses {
             bins.map(|hz| response(channel, scale * hz)).collect()
         };
         let of_scale = |scale: f64| (0..channels).map(|one| of_channel(one, scale)).collect();
+        let (longest, steps) = LONGEST_DELAY;
+        let delay_step_s = longest / (fundamental_hz * f64::from(steps));
+        let turns = (-steps..=steps).map(|step| {
+            let delay_s = f64::from(step) * delay_step_s;
+            frequencies_hz.iter().map(|hz| turn(*hz, delay_s)).collect()
+        });
         Self {
             of_scales: SCALES.into_iter().map(of_scale).collect(),
+            delay_step_s,
+            turns: turns.collect(),
             frequencies_hz,
             fundamental_hz,
         }
@@ -314,22 +326,20 @@ impl Relation {
         effective_windows: f64,
     ) -> Self {
         let frequencies = &responses.frequencies_hz;
-        let aligned = |delay_s: f64| {
-            let of_bin = |(sum, hz): (&Complex<f64>, &f64)| {
-                let (sin, cos) = libm::sincos(std::f64::consts::TAU * hz * delay_s);
-                sum.re * cos - sum.im * sin
-            };
-            crossed.iter().zip(frequencies).map(of_bin).sum::<f64>()
+        let aligned = |(sum, turn): (&Complex<f64>, Complex<f64>)| (sum * turn).re;
+        let at_delay = |turns: &Vec<Complex<f64>>| {
+            crossed
+                .iter()
+                .zip(turns.iter().copied())
+                .map(aligned)
+                .sum::<f64>()
         };
-        let (longest, steps) = LONGEST_DELAY;
-        let step_s = longest / (responses.fundamental_hz * f64::from(steps));
-        let tried: Vec<f64> = (-steps..=steps)
-            .map(|step| aligned(f64::from(step) * step_s))
-            .collect();
+        let tried: Vec<f64> = responses.turns.iter().map(at_delay).collect();
+        let step_s = responses.delay_step_s;
         let best = (0..tried.len())
             .max_by(|a, b| tried[*a].abs().total_cmp(&tried[*b].abs()))
             .unwrap_or(0);
-        let mut delay_s = (best as f64 - f64::from(steps)) * step_s;
+        let mut delay_s = (best as f64 - f64::from(LONGEST_DELAY.1)) * step_s;
         if let [before, at, after] = tried[best.saturating_sub(1)..tried.len().min(best + 2)] {
             let curvature = before - 2.0 * at + after;
             if curvature != 0.0 {
@@ -337,7 +347,8 @@ impl Relation {
             }
         }
         let sum: f64 = others.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-        let crossed = aligned(delay_s);
+        let turns = frequencies.iter().map(|hz| turn(*hz, delay_s));
+        let crossed = crossed.iter().zip(turns).map(aligned).sum::<f64>();
         let coherence =
             (crossed * crossed / (sum * power.max(f64::MIN_POSITIVE))).clamp(1e-6, 0.9999);
         let squares: f64 = others.iter().map(|one| one * one).sum();
@@ -413,6 +424,12 @@ impl Relation {
             false => Fault::Gain(self.gain),
         }
     }
+}
+
+/// Returns `exp(iωτ)`.
+fn turn(frequency_hz: f64, delay_s: f64) -> Complex<f64> {
+    let (sin, cos) = libm::sincos(std::f64::consts::TAU * frequency_hz * delay_s);
+    Complex::new(cos, sin)
 }
 
 /// Returns the logarithm of a normal density, without its constant.

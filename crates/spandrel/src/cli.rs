@@ -786,6 +786,9 @@ pub struct CheckArguments {
     /// Length of data for which to report standard deviations (s).
     #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub after: f64,
+    /// Recording with which to compare the sensors with each other instead; may be repeated.
+    #[arg(long, value_name = "RECORD", conflicts_with = "after")]
+    pub record: Vec<PathBuf>,
     /// Print one JSON object instead of text.
     #[arg(long)]
     pub json: bool,

@@ -11,6 +11,7 @@ mod logging;
 mod offline;
 mod record_source;
 mod role_check;
+mod sensor_report;
 mod services;
 mod settings;
 mod state;

@@ -311,7 +311,7 @@ fn file_of_another_version_is_refused_with_both_named() {
     .unwrap();
     let message = Baseline::read(&path).unwrap_err().to_string();
     assert!(
-        message.contains("spandrel.baseline.v9") && message.contains("spandrel.baseline.v2"),
+        message.contains("spandrel.baseline.v9") && message.contains("spandrel.baseline.v3"),
         "{message}"
     );
 }
@@ -327,4 +327,68 @@ fn frames_of_unequal_length_are_no_record() {
     assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![]]).is_none());
     assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![(1.0, 0.1); 2]]).is_none());
     assert!(RecordSummary::from_estimates(Vec::<Vec<(f64, f64)>>::new()).is_none());
+}
+
+#[test]
+fn file_holds_what_the_sensors_show_and_the_change_without_each() {
+    let sensor = |gain| SensorReference {
+        channel: "roof".to_owned(),
+        gain,
+        ln_gain_std: 0.03,
+        delay_s: 0.002,
+        delay_std_s: 0.003,
+    };
+    let records = [record(1.0, 0.01), record(1.1, 0.01)];
+    // Without the roof, the parameter changes by 0.03 and −0.05: √((9 + 25)/2)·10⁻², times
+    // √(1 + 1/2) for a further record.
+    let without = [Some(record(1.03, 0.01)), Some(record(1.05, 0.01))];
+    let baseline = estimated(&records)
+        .unwrap()
+        .with_sensors(vec![sensor(0.9)])
+        .with_left_out("roof", &records, &without)
+        .with_left_out("floor", &records, &[None, None]);
+    let change = baseline.change_without("roof", 0).unwrap();
+    assert!(
+        (change - (17e-4_f64 * 1.5).sqrt()).abs() < 1e-12,
+        "{change}"
+    );
+    assert_eq!(
+        baseline.change_without("floor", 0),
+        None,
+        "no record shows it"
+    );
+    assert_eq!(baseline.change_without("cellar", 0), None);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    baseline.write(&path).unwrap();
+    assert_eq!(Baseline::read(&path).unwrap(), baseline);
+
+    let impossible = |baseline: &Baseline| {
+        baseline.write(&path).unwrap();
+        Baseline::read(&path).unwrap_err().to_string()
+    };
+    let message = impossible(&baseline.clone().with_sensors(vec![sensor(0.0)]));
+    assert!(
+        message.contains("the sensor roof is impossible"),
+        "{message}"
+    );
+    let mut wrong = baseline;
+    wrong.without_sensor[0].changes.push(0.1);
+    let message = impossible(&wrong);
+    assert!(
+        message.contains("without the sensor roof") && message.contains("must be 1"),
+        "{message}"
+    );
+}
+
+#[test]
+fn file_of_version_2_has_no_sensors() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    let text = r#"{"format":"spandrel.baseline.v2","structure":"house","records":2,"parameters":[
+        {"parameter":"storey-1","mean":1.0,"within_std":0.01,"between_std":0.02,"degrees_of_freedom":1.0}]}"#;
+    std::fs::write(&path, text).unwrap();
+    let baseline = Baseline::read(&path).unwrap();
+    assert!(baseline.sensors().is_empty() && !baseline.is_old_file());
+    assert!((baseline.parameter("storey-1").unwrap().mean - 1.0).abs() < 1e-12);
 }

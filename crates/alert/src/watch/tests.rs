@@ -3,6 +3,7 @@ use spandrel_bus::{EstimateFlags, FitVerdict, Header, Message, Name, Phase, Stre
 
 use super::*;
 use crate::{BetweenRecords, RecordSummary};
+use spandrel_bus::Excluded;
 
 /// Returns a watch for two parameters. The second one has two rules: 5 % and 20 %.
 fn watch() -> Watch {
@@ -41,7 +42,7 @@ fn estimate(means: [f64; 2], std: f64, phase: Phase) -> Estimate {
             phase,
             ..EstimateFlags::working()
         },
-        excluded: spandrel_bus::Excluded::None,
+        excluded: Excluded::None,
         sustained_information: Vec::new(),
     }
 }
@@ -439,4 +440,56 @@ proptest! {
         }
         prop_assert_eq!(cut_alerts, whole);
     }
+}
+
+#[test]
+fn estimate_without_a_sensor_is_as_uncertain_as_the_baseline_has_measured() {
+    // The change without row 1 is known, and that without row 0 is 15 % of the estimate.
+    let mut watch = watch();
+    let decision = watch.decisions.remove(0);
+    let decision = decision.with_changes_without(vec![None, Some(0.04)]);
+    let std = |excluded| {
+        let estimate = ParameterEstimate {
+            time_ns: 0,
+            mean: 0.8,
+            std: 0.03,
+        };
+        decision.with_missing_sensor(estimate, excluded).std
+    };
+    assert_eq!(std(Excluded::None), 0.03);
+    assert!((std(Excluded::One(1)) - 0.05).abs() < 1e-12);
+    let unknown = 0.03_f64.hypot(0.15 * 0.8);
+    for excluded in [Excluded::One(0), Excluded::One(9), Excluded::Several] {
+        assert!((std(excluded) - unknown).abs() < 1e-12, "{excluded:?}");
+    }
+}
+
+#[test]
+fn loss_that_a_missing_sensor_could_explain_raises_no_alert() {
+    let raised = |excluded| {
+        let mut watch = watch();
+        let soft = Estimate {
+            excluded,
+            ..estimate([0.87, 1.0], 0.01, Phase::Working)
+        };
+        let alerts = alerts_of(&mut watch, &block(1, 0, vec![soft; 500]));
+        alerts.iter().any(|alert| alert.state == AlertState::Raised)
+    };
+    assert!(raised(Excluded::None));
+    assert!(!raised(Excluded::One(0)));
+}
+
+#[test]
+fn nothing_is_decided_while_a_sensor_is_in_doubt() {
+    let mut watch = watch();
+    let in_doubt = estimate([0.5, 1.0], 0.01, Phase::SensorInDoubt);
+    let alerts = alerts_of(&mut watch, &block(1, 0, vec![in_doubt; 500]));
+    assert!(
+        alerts
+            .iter()
+            .all(|alert| alert.state == AlertState::Undecided),
+        "{alerts:?}"
+    );
+    let because = alerts.first().and_then(|alert| alert.undecided_because);
+    assert_eq!(because, Some(UndecidedBecause::SensorInDoubt));
 }

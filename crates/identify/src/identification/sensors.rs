@@ -1,5 +1,6 @@
 //! The check of the sensors against each other, and its consequences.
 
+use super::hearing::Hearing;
 use super::{Identification, Output};
 use spandrel_bus::{EventKind, Excluded};
 use spandrel_faults::{Change, SensorCheck, SensorReference, Soundness};
@@ -20,12 +21,11 @@ impl Identification {
         values: &[f64],
         outputs: &mut Vec<Output>,
     ) -> bool {
-        let mut values = values.to_vec();
+        let mut values = std::borrow::Cow::Borrowed(values);
         if let Some(outliers) = self.estimator.outliers() {
-            for (screen, channel) in outliers.channels().iter().zip(&self.observation_channels) {
-                if screen.verdict() == Verdict::Outlier {
-                    values[*channel] = f64::NAN; // a spike is no fault of the whole channel
-                }
+            let rows = outliers.channels().iter().zip(&self.observation_channels);
+            for (_, channel) in rows.filter(|(screen, _)| screen.verdict() == Verdict::Outlier) {
+                values.to_mut()[*channel] = f64::NAN; // a spike is no fault of the whole channel
             }
         }
         let changes = self.check.take(&values);
@@ -61,6 +61,14 @@ impl Identification {
     fn tell_sensor(&self, time_ns: i64, change: Change) -> Option<Output> {
         let health = self.check.health()[change.channel]?;
         let is_response = self.observation_channels.contains(&change.channel);
+        // A stuck or silent excitation has been reported.
+        let inputs = self.excitation_channels.iter().zip(&self.hearing);
+        let is_told = |(channel, hearing): (&Option<usize>, &Hearing)| {
+            *channel == Some(change.channel) && hearing.is_silent()
+        };
+        if { inputs }.any(is_told) {
+            return None;
+        }
         let words = || health.fault.map(|fault| fault.words()).unwrap_or_default();
         let (kind, what, why) = match (change.before, change.now) {
             (_, Soundness::Faulty) if is_response => (

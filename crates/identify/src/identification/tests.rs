@@ -1,5 +1,6 @@
 use super::*;
 use proptest::prelude::*;
+use spandrel_bus::Excluded;
 use std::path::Path;
 
 fn structure() -> Structure {
@@ -674,4 +675,67 @@ fn a_sudden_loss_pauses_the_screening_and_is_reported_once() {
             .iter()
             .all(|event| event.kind != EventKind::ChannelExcluded)
     );
+}
+
+#[test]
+fn faulty_sensor_is_named_and_left_out_and_identification_starts_again() {
+    let structure = structure();
+    let mut block = frames(12_000);
+    for values in block.values.chunks_mut(6) {
+        values[3] *= -1.0;
+    }
+    let outputs = identified(&structure, block);
+    let name = structure.channels().nth(3).unwrap().name();
+    let excluded: Vec<&Event> = events(&outputs)
+        .into_iter()
+        .filter(|event| event.kind == EventKind::ChannelExcluded)
+        .collect();
+    let [event] = &excluded[..] else {
+        panic!("{excluded:?}")
+    };
+    assert_eq!(event.subject, name);
+    assert!(event.what.contains("opposite sign"), "{}", event.what);
+    let all = estimates(&outputs);
+    let first = all
+        .iter()
+        .position(|estimate| estimate.excluded != Excluded::None)
+        .unwrap();
+    assert!(all[first].flags.restarted && all[first - 1].used_channels == 5);
+    assert_ne!(
+        all[first + 1].flags.phase,
+        Phase::Working,
+        "the motion settles"
+    );
+    let last = all.last().unwrap();
+    assert_eq!((last.excluded, last.used_channels), (Excluded::One(2), 4));
+    assert_eq!(last.flags.phase, Phase::Working);
+    assert!((last.mean[0] - 1.0).abs() < 0.1, "{:?}", last.mean);
+}
+
+#[test]
+fn restart_while_the_motion_settles_changes_no_bit() {
+    let structure = structure();
+    let mut block = frames(8_000);
+    for values in block.values.chunks_mut(6) {
+        values[3] *= -1.0;
+    }
+    let whole = identified(&structure, block.clone());
+    let all = estimates(&whole);
+    let first = all
+        .iter()
+        .position(|estimate| estimate.excluded != Excluded::None)
+        .unwrap();
+    let [head, tail] = &cut(block, &[first as u64 + 100])[..] else {
+        panic!("two parts")
+    };
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    core.handle(IdentificationInput::Frames(head.clone()), &mut Vec::new());
+    let state = core.state();
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    core.restore(state).unwrap();
+    let mut outputs = Vec::new();
+    core.handle(IdentificationInput::Frames(tail.clone()), &mut outputs);
+    let resumed = estimates(&outputs);
+    // A missing innovation is not equal to itself.
+    assert_eq!(format!("{:?}", resumed.last()), format!("{:?}", all.last()));
 }

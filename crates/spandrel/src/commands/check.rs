@@ -1,10 +1,11 @@
 //! `spandrel check`: reports what a structure and its sensors can identify, before any sensor is
-//! bought.
+//! bought, and whether the sensors of a recording agree with each other.
 
 use super::print;
 use crate::check_report::CheckPage;
 use crate::cli::CheckArguments;
 use crate::error::AppError;
+use crate::sensor_report::SensorPage;
 use spandrel_structure::Structure;
 
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
@@ -16,6 +17,13 @@ const SEED: u64 = 1;
 /// The file is not valid.
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
+    if !arguments.record.is_empty() {
+        let page = SensorPage::of_records(&structure, &arguments.record)?;
+        return print(&match arguments.json {
+            true => page.json(),
+            false => page.to_string(),
+        });
+    }
     let page = CheckPage::new(&structure, structure.check(arguments.after, SEED));
     print(&match arguments.json {
         true => page.json(),

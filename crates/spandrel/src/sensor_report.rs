@@ -1,0 +1,187 @@
+//! The report of `spandrel check --record`: whether the sensors agree with each other.
+
+use crate::error::AppError;
+use serde_json::json;
+use spandrel_faults::{ChannelHealth, Fault, SensorCheck, Soundness};
+use spandrel_sensor::{open_record, recorded_rows};
+use spandrel_structure::Structure;
+use std::fmt;
+use std::path::PathBuf;
+
+/// Standard gravity (m/s²), the factor between g and m/s².
+const GRAVITY: f64 = 9.806_65;
+
+/// Largest ratio of a factor to the factor between two units that suggests a wrong unit.
+const NEAR_UNIT: f64 = 1.3;
+
+/// What the recordings show of each sensor.
+#[derive(Debug)]
+pub struct SensorPage {
+    structure: String,
+    /// Name and result of each channel of a frame. `None` for a channel that is not checked.
+    channels: Vec<(String, Option<ChannelHealth>)>,
+}
+
+impl SensorPage {
+    /// Compares the sensors in the recordings, one after the other.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
+    pub fn of_records(structure: &Structure, records: &[PathBuf]) -> Result<Self, AppError> {
+        let mut check = SensorCheck::new(structure);
+        for path in records {
+            check.forget_motion();
+            for row in recorded_rows(open_record(structure, path)?, 0) {
+                check.take(&row?.values);
+            }
+        }
+        let names = structure
+            .channels()
+            .map(|channel| channel.name().to_owned());
+        Ok(Self {
+            structure: structure.name().to_owned(),
+            channels: names.zip(check.health().iter().copied()).collect(),
+        })
+    }
+
+    /// Returns the report as one JSON object.
+    pub fn json(&self) -> String {
+        let sensor = |(name, health): &(String, Option<ChannelHealth>)| match health {
+            None => json!({ "channel": name, "state": null }),
+            Some(health) => json!({
+                "channel": name,
+                "state": word(health.soundness),
+                "probability": health.probability,
+                "factor": health.gain,
+                "delay_s": health.delay_s,
+                "coherence": health.coherence,
+                "fault": health.fault.map(Fault::words),
+                "advice": health.fault.map(advice),
+            }),
+        };
+        let sensors: Vec<_> = self.channels.iter().map(sensor).collect();
+        json!({ "structure": self.structure, "sensors": sensors }).to_string() + "\n"
+    }
+}
+
+impl fmt::Display for SensorPage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "sensors of {}", self.structure)?;
+        writeln!(
+            f,
+            "  {:<20} {:<10} {:>8} {:>11} {:>10}",
+            "channel", "state", "factor", "delay (ms)", "coherence"
+        )?;
+        for (name, health) in &self.channels {
+            let Some(health) = health else {
+                writeln!(
+                    f,
+                    "  {name:<20} not checked: no measured ground motion along it"
+                )?;
+                continue;
+            };
+            let number = |value: Option<f64>, digits: usize| {
+                value.map_or("-".to_owned(), |value| format!("{value:.digits$}"))
+            };
+            writeln!(
+                f,
+                "  {name:<20} {:<10} {:>8} {:>11} {:>10}",
+                word(health.soundness),
+                number(health.gain, 2),
+                number(health.delay_s.map(|delay_s| 1e3 * delay_s), 0),
+                number(health.coherence, 3),
+            )?;
+        }
+        let faults = self.channels.iter().filter_map(|(name, health)| {
+            let fault = health.as_ref()?.fault?;
+            Some((name, fault))
+        });
+        for (name, fault) in faults {
+            writeln!(f, "{name} {}: {}", fault.words(), advice(fault))?;
+        }
+        let unchecked = |(_, health): &(String, Option<ChannelHealth>)| {
+            health.is_some_and(|health| health.soundness == Soundness::Unchecked)
+        };
+        if self.channels.iter().any(unchecked) {
+            writeln!(
+                f,
+                "unchecked: the recordings contain too little motion of the ground far below the \
+                 first natural frequency"
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn word(soundness: Soundness) -> &'static str {
+    match soundness {
+        Soundness::Unchecked => "unchecked",
+        Soundness::Sound => "sound",
+        Soundness::InDoubt => "in doubt",
+        Soundness::Faulty => "faulty",
+    }
+}
+
+/// Returns what to look at first.
+fn advice(fault: Fault) -> &'static str {
+    let is_near = |factor: f64, unit: f64| (factor / unit).ln().abs() < NEAR_UNIT.ln();
+    match fault {
+        Fault::Gain(factor) if is_near(factor, GRAVITY) || is_near(factor, GRAVITY.recip()) => {
+            "the unit is probably wrong, g in place of m/s2 or the reverse"
+        }
+        Fault::Gain(_) => "check its sensitivity, its range and its unit",
+        Fault::Sign(_) => "check its orientation and the polarity of its cable",
+        Fault::Delay(_) => "check the clock of its node and the filter delay of its recorder",
+        Fault::Dead => "check its power, cable and mounting",
+        Fault::Disturbed => "check its cable and mounting, and whether it measures another place",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    const TABLE: &str = include_str!("../../../docs/examples/shake-table-stiff.toml");
+
+    /// Returns the page of a recording of the simulated frame, whose second floor has this scale.
+    fn page(scale: f64) -> SensorPage {
+        let structure = Structure::parse(TABLE, Path::new("table.toml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("record.csv");
+        let mut text = "time_s,ground_mps2,floor1_mps2,floor2_mps2,floor3_mps2\n".to_owned();
+        for (number, frame) in structure.simulator(3).take(60 * 120).enumerate() {
+            let values = &frame.values;
+            let time_s = number as f64 / 120.0;
+            text += &format!(
+                "{time_s:.6},{},{},{},{}\n",
+                values[0],
+                values[1],
+                scale * values[2],
+                values[3]
+            );
+        }
+        std::fs::write(&path, text).unwrap();
+        SensorPage::of_records(&structure, &[path]).unwrap()
+    }
+
+    #[test]
+    fn sound_sensors_are_listed_without_advice() {
+        let text = page(1.0).to_string();
+        assert_eq!(text.matches(" sound ").count(), 4, "{text}");
+        assert_eq!(text.lines().count(), 6, "{text}");
+    }
+
+    #[test]
+    fn wrong_unit_is_named_with_its_channel() {
+        let page = page(GRAVITY.recip());
+        let text = page.to_string();
+        assert!(
+            text.contains("floor-2") && text.contains("the unit is probably wrong"),
+            "{text}"
+        );
+        let json: serde_json::Value = serde_json::from_str(&page.json()).unwrap();
+        assert_eq!(json["sensors"][2]["state"], "faulty", "{json}");
+        assert_eq!(json["sensors"][1]["state"], "sound", "{json}");
+    }
+}
