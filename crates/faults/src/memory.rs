@@ -113,6 +113,10 @@ impl Memory {
 
     /// Returns `true` if the memory belongs to this many channels.
     pub(crate) fn fits(&self, channels: usize) -> bool {
-        self.present.len() == channels && self.cross.len() % (channels * channels).max(1) == 0
+        self.present.len() == channels
+            && self
+                .cross
+                .len()
+                .is_multiple_of((channels * channels).max(1))
     }
 }

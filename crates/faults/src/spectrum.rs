@@ -56,7 +56,7 @@ impl Spectrum {
     /// period.
     pub(crate) fn new(fundamental_hz: f64, rate_hz: f64) -> Option<Self> {
         let quarter = (PERIODS * rate_hz / (fundamental_hz * OVERLAP as f64)).round();
-        let is_resolved = quarter >= 16.0 && quarter < 1e6;
+        let is_resolved = (16.0..1e6).contains(&quarter);
         let samples = OVERLAP * is_resolved.then_some(quarter as usize)?;
         let turn = |n: usize| {
             let (sin, cos) = libm::sincos(std::f64::consts::TAU * n as f64 / samples as f64);

@@ -17,9 +17,9 @@ use fit::FitView;
 use hearing::Hearing;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Block, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, FitDisplay,
-    FitVerdict, FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Phase, StreamState, TimeGrid,
+    Block, ChannelState, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
+    FitDisplay, FitVerdict, FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
 };
 use spandrel_faults::SensorCheck;
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
@@ -805,13 +805,15 @@ impl Identification {
                 .display(&self.structure, time_ns, &self.estimator)
                 .map(Output::Fit),
         );
+        let excluded = self.excluded_rows();
         if let Some(outliers) = self.estimator.outliers() {
-            for (view, screen) in self.screening.iter_mut().zip(outliers.channels()) {
-                outputs.push(Output::Outliers(view.display(
-                    &self.structure,
-                    time_ns,
-                    screen,
-                )));
+            let views = self.screening.iter_mut().zip(&excluded);
+            for ((view, excluded), screen) in views.zip(outliers.channels()) {
+                let mut display = view.display(&self.structure, time_ns, screen);
+                if *excluded {
+                    display.state = ChannelState::Faulty;
+                }
+                outputs.push(Output::Outliers(display));
             }
         }
     }

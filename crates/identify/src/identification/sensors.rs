@@ -134,6 +134,13 @@ impl Identification {
         }
     }
 
+    /// Returns whether the check excludes each observation row.
+    pub(super) fn excluded_rows(&self) -> Vec<bool> {
+        (0..self.observation_channels.len())
+            .map(|row| self.is_excluded(row))
+            .collect()
+    }
+
     fn is_excluded(&self, row: usize) -> bool {
         self.is_faulty(self.observation_channels[row])
     }
