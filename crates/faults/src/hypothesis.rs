@@ -349,8 +349,9 @@ impl Relation {
         let sum: f64 = others.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         let turns = frequencies.iter().map(|hz| turn(*hz, delay_s));
         let crossed = crossed.iter().zip(turns).map(aligned).sum::<f64>();
-        let coherence =
-            (crossed * crossed / (sum * power.max(f64::MIN_POSITIVE))).clamp(1e-6, 0.9999);
+        // A dead channel has no power at all.
+        let product = (sum * power).max(f64::MIN_POSITIVE);
+        let coherence = (crossed * crossed / product).clamp(1e-6, 0.9999);
         let squares: f64 = others.iter().map(|one| one * one).sum();
         let effective_bins = sum * sum / squares.max(f64::MIN_POSITIVE);
         let count = (INDEPENDENT * effective_windows * effective_bins).max(1.0);

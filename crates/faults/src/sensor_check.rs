@@ -34,8 +34,8 @@ const SOUND_AFTER: u32 = 2 * OVERLAP as u32;
 /// power.
 const LARGEST_GROUP: usize = 24;
 
-/// Power of a channel above its stated noise from which it measures some motion. The others must then
-/// measure it as well.
+/// Ratio of the power of a channel to its stated noise from which it measures some motion. The others
+/// must then measure it as well.
 const LOUD: f64 = 4.0;
 
 /// Scatter of the factors and delays of sound channels between events: standard deviations of the
@@ -199,8 +199,9 @@ impl SensorCheck {
         changes
     }
 
-    /// Returns `true` if a fault is more probable than none, of a channel that does not count as
-    /// faulty yet, or if a channel measures a motion that the others do not.
+    /// Returns `true` if a channel is suspected that does not count as faulty yet.
+    ///
+    /// This is also the case if a channel measures a motion that no other channel follows.
     #[must_use]
     pub fn is_in_doubt(&self) -> bool {
         let suspected = |health: &ChannelHealth| {
@@ -314,8 +315,7 @@ impl Sums {
 }
 
 impl Group {
-    /// Splits a common motion into groups of limited size. The first channel, usually the ground,
-    /// belongs to each.
+    /// Splits a common motion into groups of limited size. The ground belongs to each.
     fn of(motion: &CommonMotion, rate_hz: f64) -> Vec<Self> {
         let members: Vec<usize> = motion.channels().collect();
         let noise_std: Vec<f64> = motion.noise_std().collect();
@@ -359,8 +359,12 @@ impl Group {
         }
     }
 
-    /// Returns `true` if a channel measures much more than its stated noise.
+    /// Returns `true` if a channel measures much more than its stated noise, and there are others to
+    /// measure it as well.
     fn is_loud(&self, memory: &Memory) -> bool {
+        if memory.present().iter().filter(|present| **present).count() < 2 {
+            return false;
+        }
         let of_noise = |noise_std: &f64| LOUD * noise_std * noise_std * self.spectrum.noise_power();
         let mut all = self.noise_std.iter().enumerate();
         all.any(|(member, noise_std)| memory.mean_power(member) > of_noise(noise_std))

@@ -92,34 +92,36 @@ impl Spectrum {
         values: impl Iterator<Item = f64>,
     ) -> Option<Coefficients> {
         let quarter = self.samples / OVERLAP;
-        let channels = windows.last.len();
         let bins = BINS.count();
-        let mut is_missing = vec![false; channels];
-        for ((last, value), missing) in windows.last.iter_mut().zip(values).zip(&mut is_missing) {
-            *missing = !value.is_finite();
-            if value.is_finite() {
-                *last = value;
+        let place = |phase: usize, count: u64| {
+            let since = count.checked_sub((phase * quarter) as u64)?;
+            Some((since % self.samples as u64) as usize)
+        };
+        for (channel, value) in values.enumerate() {
+            let is_missing = !value.is_finite();
+            if !is_missing {
+                windows.last[channel] = value;
+            }
+            let value = windows.last[channel];
+            for (phase, window) in windows.open.iter_mut().enumerate() {
+                let Some(place) = place(phase, windows.count) else {
+                    continue;
+                };
+                window.missing[channel] += u32::from(is_missing);
+                let weighted = value * (0.5 - 0.5 * self.turns[place].re);
+                let sums = &mut window.sums[channel * bins..(channel + 1) * bins];
+                for (sum, bin) in sums.iter_mut().zip(BINS) {
+                    let turn = self.turns[bin * place % self.samples];
+                    sum.0 += weighted * turn.re;
+                    sum.1 += weighted * turn.im;
+                }
             }
         }
         let mut complete = None;
         for (phase, window) in windows.open.iter_mut().enumerate() {
-            let Some(since) = windows.count.checked_sub((phase * quarter) as u64) else {
-                continue;
-            };
-            let place = (since % self.samples as u64) as usize;
-            let weight = 0.5 - 0.5 * self.turns[place].re;
-            for (channel, value) in windows.last.iter().enumerate() {
-                window.missing[channel] += u32::from(is_missing[channel]);
-                let sums = &mut window.sums[channel * bins..(channel + 1) * bins];
-                for (sum, bin) in sums.iter_mut().zip(BINS) {
-                    let turn = self.turns[bin * place % self.samples];
-                    sum.0 += weight * value * turn.re;
-                    sum.1 += weight * value * turn.im;
-                }
-            }
-            if place + 1 == self.samples {
-                let empty = Window::new(channels);
-                complete = Some(self.coefficients(&std::mem::replace(window, empty)));
+            if place(phase, windows.count) == Some(self.samples - 1) {
+                complete = Some(self.coefficients(window));
+                *window = Window::new(window.missing.len());
             }
         }
         windows.count += 1;

@@ -96,15 +96,21 @@ impl Estimator {
         }
     }
 
-    /// Multiplies the standard deviations of the parameters of a single filter by a factor.
+    /// Sets the standard deviations of the parameters of a single filter to a multiple of those of
+    /// the prior. The means remain.
     ///
     /// # Errors
     /// Fails if the covariance is singular.
-    pub fn scale_parameter_std(&mut self, factor: f64) -> Result<(), FilterError> {
+    pub fn set_parameter_std(&mut self, of_prior: f64) -> Result<(), FilterError> {
+        let first = self.first();
         match self {
             Self::Filter(filter) if filter.model().parameter_len() > 0 => {
                 let mut parameters = filter.parameters();
-                parameters.covariance *= factor * factor;
+                let prior_std = &filter.settings().prior_std;
+                parameters.covariance.fill(0.0);
+                for (j, std) in prior_std.iter().skip(first).enumerate() {
+                    parameters.covariance[(j, j)] = (of_prior * std).powi(2);
+                }
                 filter.replace_parameters(&parameters)
             }
             Self::Filter(_) | Self::Classes(_) | Self::Particles(_) => Ok(()),

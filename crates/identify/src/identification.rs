@@ -606,6 +606,7 @@ impl Identification {
         }
         if done == to && forgets {
             self.estimator.forget_motion();
+            self.check.forget_motion();
             self.reset_band_limit();
         }
         if let Some(stream) = &mut self.stream {
@@ -627,6 +628,7 @@ impl Identification {
         why: &str,
     ) -> Output {
         self.restarts += 1;
+        self.settling = 0;
         let what = match restarted {
             Ok(()) => "filter restarted from its prior".to_owned(),
             Err(refusal) => format!("filter could not be restarted: {refusal}"),

@@ -146,15 +146,20 @@ fn structure_that_moves_without_its_ground_puts_only_the_ground_in_doubt() {
     assert_eq!((fault, suspected), (Some(Fault::Dead), vec![0]));
 }
 
-#[test]
-fn motion_of_a_single_sensor_is_in_doubt_at_once() {
-    let mut noise = 1_u64;
-    let mut quiet = || {
-        noise = noise
+/// Returns a source of noise between −`size`/2 and `size`/2.
+fn noise(size: f64) -> impl FnMut() -> f64 {
+    let mut state = 1_u64;
+    move || {
+        state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1);
-        ((noise >> 33) as f64 / f64::from(1_u32 << 31) - 0.5) * 1e-3
-    };
+        ((state >> 33) as f64 / f64::from(1_u32 << 31) - 0.5) * size
+    }
+}
+
+#[test]
+fn motion_of_a_single_sensor_is_in_doubt_at_once() {
+    let mut quiet = noise(1e-3);
     let mut frames: Vec<Vec<f64>> = (0..2400)
         .map(|_| (0..4).map(|_| quiet()).collect())
         .collect();
@@ -237,4 +242,39 @@ fn restored_check_continues_with_the_same_bits() {
     )
     .unwrap();
     assert!(!SensorCheck::new(&other).restore(first.state().clone()));
+}
+
+#[test]
+fn dead_sensors_of_the_whole_structure_are_in_doubt_while_the_ground_moves() {
+    let sound = frames(&table(&[]));
+    for dead in [0.0, 0.005] {
+        let (mut frames, mut noise) = (sound.clone(), noise(dead));
+        for values in &mut frames {
+            values[1..].fill_with(&mut noise);
+        }
+        let (check, changes) = checked(&frames);
+        assert!(check.is_in_doubt(), "{dead}: {changes:?}");
+    }
+}
+
+#[test]
+fn samples_that_are_all_zero_or_missing_prove_nothing() {
+    for value in [0.0, f64::NAN] {
+        let (check, changes) = checked(&vec![vec![value; 4]; 6000]);
+        assert_eq!(changes, []);
+        assert!(!check.is_in_doubt());
+        let unchecked = |health: &ChannelHealth| *health == ChannelHealth::default();
+        assert!(
+            check.health().iter().flatten().all(unchecked),
+            "{:?}",
+            check.health()
+        );
+    }
+    // The ground alone cannot be compared.
+    let mut alone = frames(&table(&[]));
+    alone
+        .iter_mut()
+        .for_each(|values| values[1..].fill(f64::NAN));
+    let (check, changes) = checked(&alone);
+    assert_eq!((changes, check.is_in_doubt()), (vec![], false));
 }

@@ -6,7 +6,8 @@ use spandrel_bus::{EventKind, Excluded};
 use spandrel_faults::{Change, SensorCheck, SensorReference, Soundness};
 use spandrel_filter::Verdict;
 
-/// Factor on the standard deviation of the parameters while the motion settles after a restart.
+/// Standard deviation of the parameters, as a share of the prior, while the motion settles after a
+/// restart.
 ///
 /// The motion is unknown at first. Without this, its error would move the parameters far from
 /// their prior, and a filter with fewer sensors does not always return.
@@ -39,17 +40,17 @@ impl Identification {
         let released = self.settling == 1 && !excludes;
         self.settling = self.settling.saturating_sub(1);
         if released {
-            return self.estimator.scale_parameter_std(HELD.recip()).is_ok();
+            return self.estimator.set_parameter_std(1.0).is_ok();
         }
         if excludes {
             let restarted = self.estimator.restart();
-            let held = restarted.and_then(|()| self.estimator.scale_parameter_std(HELD));
-            self.settling = (self.check.window_s() * self.rate_hz()) as u64;
+            let held = restarted.and_then(|()| self.estimator.set_parameter_std(HELD));
             outputs.push(self.told_restart(
                 time_ns,
                 held,
                 "the estimates so far contain the samples of a faulty sensor",
             ));
+            self.settling = (self.check.window_s() * self.rate_hz()) as u64;
         }
         excludes
     }

@@ -706,6 +706,10 @@ fn faulty_sensor_is_named_and_left_out_and_identification_starts_again() {
         Phase::Working,
         "the motion settles"
     );
+    let released = all[first + 1..]
+        .iter()
+        .find(|estimate| estimate.flags.restarted);
+    assert!(released.is_some_and(|estimate| estimate.variance(0) > all[first].variance(0)));
     let last = all.last().unwrap();
     assert_eq!((last.excluded, last.used_channels), (Excluded::One(2), 4));
     assert_eq!(last.flags.phase, Phase::Working);
@@ -738,4 +742,36 @@ fn restart_while_the_motion_settles_changes_no_bit() {
     let resumed = estimates(&outputs);
     // A missing innovation is not equal to itself.
     assert_eq!(format!("{:?}", resumed.last()), format!("{:?}", all.last()));
+}
+
+#[test]
+fn held_parameters_are_as_uncertain_as_the_prior_when_they_are_released() {
+    // The filter forgets while the parameters are held, so that their deviation does not stay.
+    let structure = structure();
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    core.estimator.set_parameter_std(0.01).unwrap();
+    core.handle(IdentificationInput::Frames(frames(3000)), &mut Vec::new());
+    let held = core.estimator.parameter_mean().to_vec();
+    core.estimator.set_parameter_std(1.0).unwrap();
+    assert_eq!(core.estimator.parameter_mean(), held);
+    let Estimator::Filter(filter) = &core.estimator else {
+        panic!("the demo has one filter")
+    };
+    let released = filter.parameters().covariance;
+    for (j, parameter) in structure.parameters().iter().enumerate() {
+        assert!(
+            (released[(j, j)] - parameter.std().powi(2)).abs() < 1e-12,
+            "{released}"
+        );
+    }
+}
+
+#[test]
+fn filter_that_diverges_while_the_motion_settles_is_held_no_longer() {
+    let mut core = Identification::new(&structure(), "identify").unwrap();
+    core.handle(IdentificationInput::Frames(frames(100)), &mut Vec::new());
+    core.settling = 50;
+    core.restart(0, "it diverged");
+    assert_eq!(core.settling, 0);
+    assert!(!core.has_sensor_in_doubt());
 }
