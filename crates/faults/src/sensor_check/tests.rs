@@ -278,3 +278,40 @@ fn samples_that_are_all_zero_or_missing_prove_nothing() {
     let (check, changes) = checked(&alone);
     assert_eq!((changes, check.is_in_doubt()), (vec![], false));
 }
+
+#[test]
+fn one_of_two_sensors_with_opposite_signs_is_in_doubt_but_not_which() {
+    let mut frames = frames(&table(&[]));
+    for values in &mut frames {
+        values[1] *= -1.0;
+        values[2..].fill(f64::NAN);
+    }
+    let (check, changes) = checked(&frames);
+    assert_eq!(suspected(&changes), [0, 1]);
+    let is_faulty = |(_, change): &(f64, Change)| change.now == Soundness::Faulty;
+    assert!(
+        check.is_in_doubt() && !changes.iter().any(is_faulty),
+        "{changes:?}"
+    );
+}
+
+#[test]
+fn wind_that_moves_the_floors_by_their_height_accuses_no_floor() {
+    let mut noise = noise(1e-3);
+    let wind = |t: f64| -> f64 {
+        let tones = [1.1, 1.45, 1.8, 2.15, 2.5];
+        tones
+            .iter()
+            .map(|hz| (std::f64::consts::TAU * hz * t + 10.0 * hz).sin())
+            .sum()
+    };
+    let frame = |number: usize| {
+        let force = wind(number as f64 / 120.0);
+        [0.0, 0.3, 0.7, 1.0]
+            .map(|height| height * force + noise())
+            .to_vec()
+    };
+    let frames: Vec<Vec<f64>> = (0..6000).map(frame).collect();
+    let (_, changes) = checked(&frames);
+    assert_eq!(suspected(&changes), [0], "{changes:?}");
+}

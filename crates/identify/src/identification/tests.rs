@@ -771,7 +771,22 @@ fn filter_that_diverges_while_the_motion_settles_is_held_no_longer() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     core.handle(IdentificationInput::Frames(frames(100)), &mut Vec::new());
     core.settling = 50;
+    assert!(core.has_sensor_in_doubt(), "the motion settles");
     core.restart(0, "it diverged");
     assert_eq!(core.settling, 0);
     assert!(!core.has_sensor_in_doubt());
+}
+
+#[test]
+fn sensors_are_compared_anew_after_a_gap_too_long_to_bridge() {
+    let structure = structure();
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    core.handle(IdentificationInput::Frames(frames(500)), &mut Vec::new());
+    let new = SensorCheck::new(&structure);
+    assert_ne!(core.sensor_check().state(), new.state());
+    core.handle(
+        IdentificationInput::gap(500, 500 + 20 * 100),
+        &mut Vec::new(),
+    );
+    assert_eq!(core.sensor_check().state(), new.state());
 }
