@@ -1,11 +1,13 @@
 //! Builds frames from the samples of many nodes, without a clock or network.
 //!
 //! Frame k is at t0 + round(k·10⁹/rate) ns, where t0 is the earliest first sample of the nodes. A
-//! sample goes to the nearest frame within the tolerance and is never interpolated. If two samples
-//! of a node fall into one frame, the first one counts.
+//! sample goes to the nearest frame within the tolerance. If it is taken at another instant than its
+//! frame, the value at the frame is interpolated from the neighbouring samples of the node. If two
+//! samples of a node fall into one frame, the first one counts.
 //!
 //! A frame closes when its deadline has passed, or when no node can still contribute. A node cannot
-//! contribute if it has delivered the frame or a later sample, has ended, or is lost. As long as no
+//! contribute if it has delivered the frame with the neighbours that the interpolation needs, or a
+//! later sample, has ended, or is lost. As long as no
 //! deadline passes, frames do not depend on the order in which blocks of different nodes arrive.
 //! Nor do they depend on how the samples are cut into blocks.
 
@@ -14,6 +16,7 @@ use spandrel_bus::{Block, FrameBlock, Header, Pace, SampleBlock, StreamState, Ti
 use crate::counts::{Counts, NodeCounts};
 use crate::layout::Layout;
 use crate::node_queue::{NodeQueue, Presence};
+use crate::sampling_instants::{NodeClock, WINDOW};
 
 /// Maximum number of frames in a block.
 const BLOCK_FRAMES: usize = 512;
@@ -68,6 +71,17 @@ pub struct NodePlace {
     pub sequence: u64,
     /// Whether the node has ended its stream.
     pub ended: bool,
+}
+
+impl NodePlace {
+    /// Returns the sequence number from which the source must be read again after a restart.
+    ///
+    /// Samples that are already part of frames come first. They tell when the node samples, so that
+    /// the next frames do not depend on the restart.
+    #[must_use]
+    pub fn read_from(&self) -> u64 {
+        self.sequence.saturating_sub(WINDOW)
+    }
 }
 
 /// The alignment of one structure.
@@ -173,6 +187,11 @@ impl Alignment {
         self.queues.iter().map(|queue| queue.counts)
     }
 
+    /// Returns when each node samples relative to the frames, in layout order.
+    pub fn node_clocks(&self) -> impl Iterator<Item = NodeClock> {
+        self.queues.iter().map(NodeQueue::clock)
+    }
+
     /// Returns the epoch of the frames. It rises with each run.
     #[must_use]
     pub fn epoch(&self) -> u64 {
@@ -222,6 +241,11 @@ impl Alignment {
         }
         if usize::from(block.channels) != self.queues[node].channels() {
             self.counts.wrong_channels += 1;
+            return;
+        }
+        let is_known = block.count() > 0 && self.queues[node].known(&block) == block.count();
+        if is_known && (self.ended || block.state == StreamState::Running) {
+            self.queues[node].remember(&block);
             return;
         }
         if self.ended {
@@ -367,7 +391,13 @@ impl Alignment {
         let mut waits = false;
         for queue in &mut self.queues {
             let number = first_usable(queue, run, self.layout.tolerance_ns());
-            let passed = number.is_some() || has_passed(queue, run);
+            let passed = match number {
+                Some(number) if number == next => {
+                    !queue.awaits_neighbours(run.grid.time_ns(run.next))
+                }
+                Some(_) => true,
+                None => has_passed(queue, run),
+            };
             waits |= !passed && queue.presence == Presence::Expected;
             earliest = earliest.into_iter().chain(number).min();
         }
@@ -398,7 +428,7 @@ impl Alignment {
             first += queue.channels();
             match queue.first_ns() {
                 Some(time_ns) if run.grid.nearest(time_ns) == run.next as i64 => {
-                    queue.pop_into(frame)
+                    queue.pop_into(frame, run.grid.time_ns(run.next))
                 }
                 // The order of arrival determines whether the end of a node is known, but not which
                 // frames the node has passed.

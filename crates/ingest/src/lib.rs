@@ -36,6 +36,7 @@
 mod counts;
 mod layout;
 mod node_queue;
+mod sampling_instants;
 
 mod align;
 mod drop_watch;
@@ -53,4 +54,5 @@ pub use error::IngestError;
 pub use lateness::Lateness;
 pub use layout::{Layout, LayoutError, NodeLayout};
 pub use recorder::RecordingSettings;
+pub use sampling_instants::NodeClock;
 pub use shell::{FRAMES_KEPT, FrameWait, IngestPlan, IngestService, IngestSettings};

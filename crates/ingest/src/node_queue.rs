@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use spandrel_bus::{Block, Pace, SampleBlock, StreamState};
 
 use crate::counts::NodeCounts;
+use crate::sampling_instants::{NodeClock, SamplingInstants, Stamp};
 
 /// Maximum number of waiting samples. Further samples are dropped and counted, because a node with
 /// a wrong clock may be permanently ahead.
@@ -51,11 +52,17 @@ pub(crate) struct NodeQueue {
     pub(crate) in_time_when_parked: u64,
     /// What has become of the samples of this node.
     pub(crate) counts: NodeCounts,
+    /// Epoch and sequence number of the first sample that the recording does not contain. Samples
+    /// of this epoch before it only tell when the node samples.
+    resumed_at: (u64, u64),
+    instants: SamplingInstants,
 }
 
 impl NodeQueue {
     pub(crate) fn new(ranges: Vec<f64>) -> Self {
         Self {
+            instants: SamplingInstants::new(ranges.len()),
+            resumed_at: (0, 0),
             ranges,
             times_ns: VecDeque::new(),
             numbers: VecDeque::new(),
@@ -93,7 +100,13 @@ impl NodeQueue {
     pub(crate) fn go_on(&mut self, (epoch, sequence): (u64, u64), presence: Presence) {
         self.epoch = Some(epoch);
         self.next = (epoch, sequence);
+        self.resumed_at = (epoch, sequence);
         self.presence = presence;
+    }
+
+    /// Returns when the node samples.
+    pub(crate) fn clock(&self) -> NodeClock {
+        self.instants.clock()
     }
 
     pub(crate) fn is_parked(&self) -> bool {
@@ -143,15 +156,55 @@ impl NodeQueue {
         self.counts.late += parked.iter().map(Block::count).sum::<u64>();
     }
 
+    /// Returns the number of first samples of a block that the recording contains already.
+    pub(crate) fn known(&self, block: &SampleBlock) -> u64 {
+        let (epoch, sequence) = self.resumed_at;
+        match block.header.epoch == epoch {
+            true => sequence
+                .saturating_sub(block.header.sequence)
+                .min(block.count()),
+            false => 0,
+        }
+    }
+
+    /// Reads the samples of a block that the recording contains already.
+    pub(crate) fn remember(&mut self, block: &SampleBlock) {
+        let Some(grid) = block.grid() else {
+            return;
+        };
+        self.instants.set_rate(block.sampling_rate_hz);
+        let known = self.known(block);
+        for (number, sample) in (0..known).zip(block.iter()) {
+            let stamp = Stamp {
+                number: (block.header.epoch, block.header.sequence + number),
+                time_ns: grid.time_ns(number),
+            };
+            // They were counted when they became part of frames.
+            let mut counted = NodeCounts::default();
+            let values = sample.iter().zip(&self.ranges);
+            let values = values.map(|(value, range)| checked(*value, *range, &mut counted));
+            self.instants.pass(stamp, values);
+        }
+    }
+
     /// Appends the samples of a block, which must have the right number of channels.
     pub(crate) fn push(&mut self, block: &SampleBlock) {
         let Some(grid) = block.grid() else {
             // A checked block has a grid.
             return;
         };
-        self.counts.received += block.count();
+        self.remember(block);
+        let known = self.known(block);
+        self.counts.received += block.count() - known;
         for (number, sample) in (0..).zip(block.iter()) {
             let time_ns = grid.time_ns(number);
+            let stamp = Stamp {
+                number: (block.header.epoch, block.header.sequence + number),
+                time_ns,
+            };
+            if number < known {
+                continue;
+            }
             // The clock of the node has gone back, so the waiting samples from this time on were
             // wrong.
             while self.times_ns.back().is_some_and(|last| *last >= time_ns) {
@@ -167,37 +220,66 @@ impl NodeQueue {
                 continue;
             }
             self.times_ns.push_back(time_ns);
-            self.numbers
-                .push_back((block.header.epoch, block.header.sequence + number));
+            self.numbers.push_back(stamp.number);
             let checked = sample
                 .iter()
                 .zip(&self.ranges)
                 .map(|(value, range)| checked(*value, *range, &mut self.counts));
             self.values.extend(checked);
         }
-        self.next = (block.header.epoch, block.end());
+        self.next = match known == block.count() {
+            true => self.next,
+            false => (block.header.epoch, block.end()),
+        };
         self.presence = match block.state {
             StreamState::Running => Presence::Expected,
             StreamState::Ended => Presence::Ended,
         };
     }
 
-    /// Moves the first sample into `frame`.
-    pub(crate) fn pop_into(&mut self, frame: &mut [f64]) {
-        self.times_ns.pop_front();
-        self.numbers.pop_front();
-        for (place, value) in frame.iter_mut().zip(self.values.drain(..self.ranges.len())) {
-            *place = value;
+    /// Returns `true` if samples that the value at a frame depends on have not arrived yet.
+    pub(crate) fn awaits_neighbours(&mut self, frame_ns: i64) -> bool {
+        let Some(stamp) = self.first() else {
+            return false;
+        };
+        let steps = self.instants.steps_from(frame_ns, stamp);
+        steps.is_some_and(|steps| self.times_ns.len() <= SamplingInstants::required_after(steps))
+    }
+
+    /// Moves the first sample into `frame`, as it would have been at the time of the frame.
+    pub(crate) fn pop_into(&mut self, frame: &mut [f64], frame_ns: i64) {
+        for (place, value) in frame.iter_mut().zip(&self.values) {
+            *place = *value;
         }
-        self.give_back();
+        if let Some(stamp) = self.first()
+            && let Some(steps) = self.instants.steps_from(frame_ns, stamp)
+        {
+            let stamps = self.numbers.iter().zip(&self.times_ns).skip(1);
+            let next = stamps.map(|(number, time_ns)| Stamp {
+                number: *number,
+                time_ns: *time_ns,
+            });
+            self.instants
+                .interpolate(steps, stamp, next, &self.values, frame);
+        }
+        self.pop();
     }
 
     /// Drops the first sample.
     pub(crate) fn pop(&mut self) {
+        let Some(stamp) = self.first() else {
+            return;
+        };
         self.times_ns.pop_front();
         self.numbers.pop_front();
-        self.values.drain(..self.ranges.len());
+        self.instants
+            .pass(stamp, self.values.drain(..self.ranges.len()));
         self.give_back();
+    }
+
+    fn first(&self) -> Option<Stamp> {
+        let (number, time_ns) = (*self.numbers.front()?, *self.times_ns.front()?);
+        Some(Stamp { number, time_ns })
     }
 
     /// Shrinks the capacity to twice the length if three quarters of it are unused.
@@ -259,7 +341,7 @@ mod tests {
         let most = room(&queue);
         let mut frame = [0.0; 2];
         for _ in 0..99_900 {
-            queue.pop_into(&mut frame);
+            queue.pop_into(&mut frame, 0);
         }
         assert_eq!((queue.first_ns(), frame), (Some(999_000_000_000), [0.5; 2]));
         assert!(

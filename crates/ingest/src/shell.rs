@@ -249,7 +249,7 @@ impl IngestService {
                 let start = match places.get(position) {
                     Some(place) => Start::At {
                         epoch: place.epoch,
-                        sequence: place.sequence,
+                        sequence: place.read_from(),
                     },
                     None => Start::Beginning,
                 };

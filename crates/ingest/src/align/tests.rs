@@ -96,15 +96,119 @@ fn time_zero_is_the_earliest_first_sample_whoever_comes_first() {
     assert_eq!(out[0].t0_ns, T0);
 }
 
+/// Returns the motion of a structure at `t_s`, with a component at a fifth of the sampling rate.
+fn motion(t_s: f64) -> f64 {
+    let wave = |hz: f64| (std::f64::consts::TAU * hz * t_s).sin();
+    wave(3.0) + 0.3 * wave(20.0)
+}
+
+/// Returns `count` samples of the motion, taken `offset_ns` after the frames, in blocks of 7 whose
+/// time stamps deviate by up to `jitter_ns`.
+fn sampled(node: usize, offset_ns: i64, jitter_ns: i64, count: usize) -> Vec<SampleBlock> {
+    let numbers: Vec<usize> = (0..count).collect();
+    let cut = |numbers: &[usize]| {
+        let at_ns = |number: &usize| *number as i64 * STEP + offset_ns;
+        let values: Vec<f64> = numbers
+            .iter()
+            .map(|n| motion(at_ns(n) as f64 / 1e9))
+            .collect();
+        let jitter_ns = jitter_ns * (numbers[0] as i64 / 7 * 5 % 7 - 3) / 3;
+        let mut block = block(node, T0 + at_ns(&numbers[0]) + jitter_ns, &values);
+        block.header.sequence = numbers[0] as u64;
+        block
+    };
+    numbers.chunks(7).map(cut).collect()
+}
+
+fn alternately(first: Vec<SampleBlock>, second: Vec<SampleBlock>) -> Vec<(usize, SampleBlock)> {
+    let pairs = first.into_iter().zip(second);
+    pairs
+        .flat_map(|(first, second)| [(0, first), (1, second)])
+        .collect()
+}
+
+/// Returns the largest deviation of the second node from the motion at the times of the frames,
+/// from frame `from` on.
+fn largest_deviation(frames: &[FrameBlock], from: usize) -> f64 {
+    let values: Vec<f64> = frames
+        .iter()
+        .flat_map(|block| block.values.clone())
+        .collect();
+    let rows = values.chunks_exact(2).enumerate().skip(from);
+    let deviation = |(number, row): (usize, &[f64])| (row[1] - motion(number as f64 * 0.01)).abs();
+    rows.map(deviation).fold(0.0, f64::max)
+}
+
 #[test]
-fn a_sample_goes_to_the_nearest_frame_and_is_not_interpolated() {
+fn values_belong_to_the_times_of_the_frames_whenever_a_node_samples() {
+    for offset_ns in [-4_999_000, -2_000_000, 300_000, 1_700_000, 4_999_000] {
+        let mut alignment = alignment(&[1, 1]);
+        let blocks = alternately(sampled(0, 0, 0, 700), sampled(1, offset_ns, 0, 700));
+        let frames = feed(&mut alignment, blocks);
+        let first = alignment.node_clocks().next().unwrap();
+        let second = alignment.node_clocks().nth(1).unwrap();
+        // The earliest first sample is time zero.
+        let start_ns = frames[0].t0_ns - T0;
+        assert_eq!(start_ns, if offset_ns < 0 { offset_ns } else { 0 });
+        if offset_ns > 0 {
+            assert!(
+                (second.offset_s - offset_ns as f64 / 1e9).abs() < 1e-9,
+                "{second:?}"
+            );
+            let deviation = largest_deviation(&frames, 5);
+            assert!(deviation < 0.006, "{offset_ns} ns: {deviation}");
+        } else {
+            assert_eq!(second.offset_s, 0.0);
+            assert_eq!(first.offset_s, -offset_ns as f64 / 1e9);
+        }
+    }
+}
+
+#[test]
+fn time_stamps_that_jitter_do_not_shift_the_values() {
     let mut alignment = alignment(&[1, 1]);
-    let shifted = block(1, T0 + 4 * STEP / 10, &[10.0, 20.0, 30.0]);
-    let out = feed(
-        &mut alignment,
-        vec![(0, block(0, T0, &[1.0, 2.0, 3.0])), (1, shifted)],
+    let blocks = alternately(sampled(0, 0, 0, 1400), sampled(1, 2_000_000, 900_000, 1400));
+    let frames = feed(&mut alignment, blocks);
+    let clock = alignment.node_clocks().nth(1).unwrap();
+    // Of 128 samples, at most two blocks of 7 have no counterpart of opposite sign.
+    assert!((clock.offset_s - 0.002).abs() < 0.000_1, "{clock:?}");
+    assert!((clock.jitter_s - 0.0018).abs() < 1e-9, "{clock:?}");
+    // The values change by up to 0.06 in 1 ms.
+    let deviation = largest_deviation(&frames, 200);
+    assert!(deviation < 0.006, "{deviation}");
+}
+
+#[test]
+fn missing_neighbours_leave_a_sample_as_it_is() {
+    let mut alignment = alignment(&[1, 1]);
+    let mut second = sampled(1, 2_000_000, 0, 70);
+    second[3].samples[2] = f64::NAN;
+    // Five samples are lost.
+    second[6].skip(5);
+    let raw: Vec<f64> = second
+        .iter()
+        .flat_map(|block| block.samples.clone())
+        .collect();
+    let frames = feed(&mut alignment, alternately(sampled(0, 0, 0, 70), second));
+    let values: Vec<f64> = frames
+        .iter()
+        .flat_map(|block| block.values.clone())
+        .collect();
+    let found = |number: usize| values[2 * number + 1];
+    let deviation = |number: usize| (found(number) - motion(number as f64 * 0.01)).abs();
+    assert!(found(23).is_nan() && (42..47).all(|number| found(number).is_nan()));
+    // The sample before 2 ms needs one on each side of the frame.
+    assert_eq!([found(24), found(47)], [raw[24], raw[42]]);
+    assert!(
+        [22, 25, 41, 48]
+            .iter()
+            .all(|number| deviation(*number) < 0.1)
     );
-    assert_eq!(values(&out), [1.0, 10.0, 2.0, 20.0, 3.0, 30.0]);
+    assert!(
+        [18, 28, 37, 52]
+            .iter()
+            .all(|number| deviation(*number) < 0.006)
+    );
 }
 
 #[test]
@@ -573,7 +677,7 @@ fn cut(node: usize, record: &Record, one_by_one: bool) -> Vec<SampleBlock> {
             room = 0;
             continue;
         }
-        let value = (node * 1000 + number) as f64 / 10.0;
+        let value = ((node * 1000 + 7 * number * number) % 101) as f64;
         match blocks.last_mut().filter(|_| room > 0) {
             Some(block) => block.samples.push(value),
             None => {
@@ -606,7 +710,7 @@ fn from_place(blocks: Vec<SampleBlock>, place: NodePlace) -> Vec<SampleBlock> {
         let is_end = block.state == StreamState::Ended;
         block.skip(
             place
-                .sequence
+                .read_from()
                 .saturating_sub(block.header.sequence)
                 .min(block.count()),
         );

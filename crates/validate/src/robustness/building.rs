@@ -4,13 +4,14 @@
 //! (Bouc-Wen). It is integrated by the fourth-order Runge-Kutta method at a tenth of the sampling
 //! interval.
 
+use super::file::STOREYS;
 use super::ground::Ground;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Bernoulli, Distribution, StandardNormal};
 
 /// Number of integration steps per sample.
-const SUBSTEPS: usize = 10;
+pub(super) const SUBSTEPS: usize = 10;
 
 /// A storey with a yielding Bouc-Wen spring: a tenth of its stiffness remains after yielding, and
 /// the exponent is 2.
@@ -75,6 +76,9 @@ pub(super) struct Building {
     pub(super) ground_noise: f64,
     pub(super) floor_noise: f64,
     pub(super) rate_hz: f64,
+    /// Sampling instants of the ground channel and of each floor channel after the time of the
+    /// frame, in tenths of the sampling interval, below 10.
+    pub(super) instants: [usize; STOREYS + 1],
 }
 
 /// Share of the elastic stiffness that remains after yielding.
@@ -111,20 +115,28 @@ impl Building {
                 motion.kept[loss.storey] = 1.0 - loss.share;
             }
             let first = sample * SUBSTEPS;
-            let mut values = vec![ground[first] + self.ground_noise * normal(&mut noise)];
-            let accelerations = motion.absolute_accelerations();
             let fault = self.fault.filter(|fault| time_s >= fault.at_s);
-            values.extend(accelerations.into_iter().enumerate().map(|(floor, value)| {
-                let noise = self.floor_noise * normal(&mut noise);
-                match fault.filter(|fault| fault.floor.is_none_or(|faulty| faulty == floor)) {
-                    Some(fault) => fault.kind.measured(value, noise, &mut spikes),
-                    None => value + noise,
-                }
-            }));
-            frames.push(values);
+            let mut values = vec![0.0; 1 + storeys];
             for substep in 0..SUBSTEPS {
-                motion.advance(step_s, ground[first + substep], ground[first + substep + 1]);
+                let accelerations = motion.absolute_accelerations();
+                let ground_now = ground[first + substep];
+                let moved = std::iter::once(ground_now).chain(accelerations);
+                for ((value, moved), instant) in values.iter_mut().zip(moved).zip(self.instants) {
+                    if instant == substep {
+                        *value = moved;
+                    }
+                }
+                motion.advance(step_s, ground_now, ground[first + substep + 1]);
             }
+            values[0] += self.ground_noise * normal(&mut noise);
+            for (floor, value) in values[1..].iter_mut().enumerate() {
+                let noise = self.floor_noise * normal(&mut noise);
+                *value = match fault.filter(|f| f.floor.is_none_or(|faulty| faulty == floor)) {
+                    Some(fault) => fault.kind.measured(*value, noise, &mut spikes),
+                    None => *value + noise,
+                };
+            }
+            frames.push(values);
         }
         frames
     }

@@ -88,6 +88,7 @@ pub(super) fn right() -> (Building, Stated) {
         ground_noise: 0.005,
         floor_noise: 0.005,
         rate_hz: 100.0,
+        instants: [0; STOREYS + 1],
     };
     let stated = Stated {
         rate_hz: 100.0,
@@ -151,6 +152,12 @@ fn random_masses(building: &mut Building, seed: u64) {
             .iter_mut()
             .for_each(|mass| *mass *= 1.0 + share.sample(&mut random));
     }
+}
+
+/// Makes the nodes sample at different instants, up to half a sampling interval from the frames.
+fn sample_apart(building: &mut Building) {
+    building.ground.spectrum = Spectrum::Smooth(10.0);
+    building.instants = [0, 2, 5, 1, 4, 3];
 }
 
 fn smooth_at_50_hz(building: &mut Building, stated: &mut Stated) {
@@ -224,6 +231,8 @@ conditions![
     "smooth-100-hz" "Smooth ground motion at 100 Hz", DURATION_S, Expected::EveryStorey, |b, s, seed| b.ground.spectrum = Spectrum::Smooth(10.0);
     "smooth-50-hz" "Smooth ground motion at 50 Hz", DURATION_S, Expected::EveryStorey, |b, s, seed| smooth_at_50_hz(b, s);
     "smooth-50-hz-loss" "Smooth ground motion at 50 Hz; storey 2 loses 8 %", DURATION_S, Expected::Loss { found: Some(1.0), within_s: None }, |b, s, seed| { smooth_at_50_hz(b, s); lose(b, 2, 0.08) };
+    "sampled-apart" "Smooth ground motion; the nodes sample up to 5 ms apart", DURATION_S, Expected::EveryStorey, |b, s, seed| sample_apart(b);
+    "sampled-apart-loss-10" "Smooth ground motion; the nodes sample up to 5 ms apart; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { sample_apart(b); lose(b, 2, 0.10) };
     "noise-fivefold" "Noise of all channels five times the file", DURATION_S, WRONG, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025 };
     "ground-noise-fivefold" "Noise of the ground channel five times the file", DURATION_S, WRONG, |b, s, seed| b.ground_noise = 0.025;
     "weak-motion" "A tenth of the motion", DURATION_S, WRONG, |b, s, seed| b.ground.std = 0.01;

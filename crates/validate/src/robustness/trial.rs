@@ -1,13 +1,14 @@
 //! One run of the robustness benchmark: simulated samples through the cores of `identify` and
 //! `alert`.
 
-use super::building::{Building, Samples};
+use super::building::{Building, SUBSTEPS, Samples};
 use super::file::{LEARN_S, STOREYS, Stated};
 use crate::error::ValidateError;
 use spandrel_alert::{Learning, ParameterEstimate, Reference, Watch, loss_estimate};
-use spandrel_bus::{AlertState, FrameBlock, Header, StreamState};
+use spandrel_bus::{AlertState, FrameBlock, Header, Pace, SampleBlock, StreamState};
 use spandrel_identify::{Identification, IdentificationInput, Output};
-use spandrel_structure::Structure;
+use spandrel_ingest::{Alignment, AlignmentInput, Layout, LayoutError};
+use spandrel_structure::{Node, Structure};
 use std::path::Path;
 
 /// Number of frames in a block. The results do not depend on it.
@@ -56,8 +57,8 @@ pub(super) fn run(
     let (mut outputs, mut alerts) = (Vec::new(), Vec::new());
     let mut trial = Trial::default();
     let mut raised = [None::<f64>; STOREYS];
-    for (number, block) in samples.chunks(BLOCK).enumerate() {
-        let frames = frame_block(block, number, skipped, stated.rate_hz);
+    let frames = frames(&structure, building, &samples, skipped).map_err(|error| failed(&error))?;
+    for frames in frames {
         identification.handle(IdentificationInput::Frames(frames), &mut outputs);
         for output in outputs.drain(..) {
             let Output::Estimates(estimates) = output else {
@@ -175,24 +176,36 @@ impl Trial {
     }
 }
 
-fn frame_block(block: &[Samples], number: usize, skipped: usize, rate_hz: f64) -> FrameBlock {
-    let sequence = (number * BLOCK) as u64;
-    let time_ns = (sequence as f64 / rate_hz * 1e9).round() as i64;
-    let values: Vec<f64> = block
-        .iter()
-        .flat_map(|samples| samples[skipped..].iter().copied())
-        .collect();
-    FrameBlock {
-        header: Header {
-            source: "ingest".to_owned(),
-            epoch: 1,
-            sequence,
-            time_ns,
-        },
-        t0_ns: 0,
-        sampling_rate_hz: rate_hz,
-        channels: (STOREYS + 1 - skipped) as u16,
-        values,
-        state: StreamState::Running,
+/// Returns the frames of a record. The first `skipped` channels are left out.
+fn frames(
+    structure: &Structure,
+    building: &Building,
+    samples: &[Samples],
+    skipped: usize,
+) -> Result<Vec<FrameBlock>, LayoutError> {
+    let mut alignment = Alignment::new(Layout::of(structure)?, "ingest".to_owned(), 1);
+    let mut frames = Vec::new();
+    for (number, rows) in samples.chunks(BLOCK).enumerate() {
+        let sequence = (number * BLOCK) as u64;
+        for (node, name) in structure.nodes().iter().map(Node::name).enumerate() {
+            let channel = node + skipped;
+            let instant = building.instants[channel] as f64 / SUBSTEPS as f64;
+            let time_s = (sequence as f64 + instant) / building.rate_hz;
+            let block = SampleBlock {
+                header: Header {
+                    source: name.to_owned(),
+                    epoch: 1,
+                    sequence,
+                    time_ns: (time_s * 1e9).round() as i64,
+                },
+                sampling_rate_hz: building.rate_hz,
+                pace: Pace::Replayed,
+                channels: 1,
+                samples: rows.iter().map(|row| row[channel]).collect(),
+                state: StreamState::Running,
+            };
+            alignment.handle(AlignmentInput::Samples { node, block }, &mut frames);
+        }
     }
+    Ok(frames)
 }
