@@ -15,8 +15,8 @@ mod support;
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, CaughtUp, Event, FitDisplay, HistorySpan, LossDisplay, Message,
-    ModelClassDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress,
-    SampleBlock, Status,
+    ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, Status,
 };
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -93,8 +93,10 @@ fn the_package_supports_the_versions_of_the_services() {
         LossDisplay::encoding(),
         NoiseDisplay::encoding(),
         OutlierDisplay::encoding(),
+        SensorHealthDisplay::encoding(),
         ModelClassDisplay::encoding(),
         FitDisplay::encoding(),
+        MonitoringDisplay::encoding(),
         NodeDisplay::encoding(),
         Event::encoding(),
         AlertMessage::encoding(),

@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
     Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Maintenance, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
+    ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, StateMessage, Status,
 };
 
 /// A decoded message is valid and can be encoded.
@@ -48,7 +48,7 @@ fn block_in<B: Block>(format: Format, payload: &[u8]) {
     }
 }
 
-const TYPES: [fn(&[u8]); 24] = [
+const TYPES: &[fn(&[u8])] = &[
     block::<SampleBlock>,
     block::<FrameBlock>,
     block::<EstimateBlock>,
@@ -62,6 +62,7 @@ const TYPES: [fn(&[u8]); 24] = [
     message::<ParameterDisplay>,
     message::<NoiseDisplay>,
     message::<OutlierDisplay>,
+    message::<SensorHealthDisplay>,
     message::<ModelClassDisplay>,
     message::<NodeDisplay>,
     message::<Status>,

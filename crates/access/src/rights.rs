@@ -48,11 +48,12 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 11] = [
+const DISPLAYED: [KeyFamily; 12] = [
     K::Parameter,
     K::Loss,
     K::Noise,
     K::Outlier,
+    K::SensorHealth,
     K::ModelClass,
     K::Fit,
     K::Monitoring,
@@ -63,12 +64,13 @@ const DISPLAYED: [KeyFamily; 11] = [
 ];
 
 /// Key families that the services of a worker publish.
-const IDENTIFIED: [KeyFamily; 11] = [
+const IDENTIFIED: [KeyFamily; 12] = [
     K::Frames,
     K::Estimates,
     K::Parameter,
     K::Noise,
     K::Outlier,
+    K::SensorHealth,
     K::ModelClass,
     K::Fit,
     K::Node,
@@ -259,6 +261,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Monitoring
         | K::Node
         | K::Outlier
+        | K::SensorHealth
         | K::Event
         | K::Alert
         | K::Acknowledge

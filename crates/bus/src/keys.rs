@@ -188,6 +188,18 @@ impl Keys {
         self.all(KeyFamily::Outlier)
     }
 
+    /// Returns the key of the comparison of one node's sensors with the others.
+    #[must_use]
+    pub fn sensor_health(&self, node: &Name) -> String {
+        self.key(KeyFamily::SensorHealth, node)
+    }
+
+    /// Returns the key expression of the comparisons of all nodes' sensors.
+    #[must_use]
+    pub fn all_sensor_health(&self) -> String {
+        self.all(KeyFamily::SensorHealth)
+    }
+
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
@@ -427,6 +439,8 @@ pub enum KeyFamily {
     Node,
     /// [`Keys::outlier`], one per channel
     Outlier,
+    /// [`Keys::sensor_health`], one per node
+    SensorHealth,
     /// [`Keys::event`]
     Event,
     /// [`Keys::alert`], one per parameter
@@ -466,7 +480,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 27] = [
+    const WITHOUT_SERVICE: [Self; 28] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -483,6 +497,7 @@ impl KeyFamily {
         Self::Feedback,
         Self::Node,
         Self::Outlier,
+        Self::SensorHealth,
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
@@ -517,6 +532,7 @@ impl KeyFamily {
             Self::Feedback => "feedback/{of}",
             Self::Node => "node/{of}",
             Self::Outlier => "outlier/{of}",
+            Self::SensorHealth => "sensor/{of}/health",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
@@ -685,6 +701,11 @@ mod tests {
             (keys.all_nodes(), "spandrel/tower/node/*"),
             (keys.outlier(&n), "spandrel/tower/outlier/storey-1"),
             (keys.all_outliers(), "spandrel/tower/outlier/*"),
+            (
+                keys.sensor_health(&n),
+                "spandrel/tower/sensor/storey-1/health",
+            ),
+            (keys.all_sensor_health(), "spandrel/tower/sensor/*/health"),
             (keys.event(), "spandrel/tower/event"),
             (keys.all_alerts(), "spandrel/tower/alert/*"),
             (

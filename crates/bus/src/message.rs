@@ -26,6 +26,7 @@ mod probability;
 mod progress;
 mod samples;
 mod samples_text;
+mod sensor_health;
 mod state;
 mod status;
 mod text;
@@ -65,9 +66,11 @@ pub use parameter::{CredibleInterval, ParameterDisplay};
 pub use probability::RoundedProbability;
 pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
+pub use sensor_health::{ChannelHealthDisplay, FaultKind, SensorHealthDisplay, Soundness};
 pub use state::StateMessage;
 pub use status::{
-    InstrumentState, InstrumentStatus, Load, Standing, Status, is_without_date, reported_pace,
+    InstrumentState, InstrumentStatus, Load, NodeClock, Standing, Status, is_without_date,
+    reported_pace,
 };
 pub use text::MAX_LABEL_BYTES;
 

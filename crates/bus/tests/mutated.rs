@@ -17,7 +17,8 @@ use spandrel_bus::{
     HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
     Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers,
     NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress,
-    SampleBlock, ScreenedChannel, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
+    SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
+    ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -223,6 +224,10 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{\"structure\":\"demo\",\"channel\":\"roof\",\"time_ns\":5,\"state\":\"screening\",\"flagged\":1,\"rejected\":2,\
              \"screened\":30,\"recent_share\":0.1,\"scale\":0.5,\"masked\":{\"from_ns\":1,\"to_ns\":2,\"samples\":3}}",
         ),
+        text::<SensorHealthDisplay>(
+            "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"channels\":[{\"channel\":\"roof-x\",\"state\":\"faulty\",\
+             \"probability\":0.999,\"fault\":\"gain\",\"gain\":0.7,\"delay_s\":0.001,\"coherence\":0.98}]}",
+        ),
         text::<ModelClassDisplay>(
             "{\"structure\":\"demo\",\"time_ns\":5,\"classes\":[{\"class\":\"baseline\",\"plausibility\":0.8},\
              {\"class\":\"soft\",\"plausibility\":0.2}],\"leading\":\"baseline\",\"believed\":\"baseline\",\"calibrations\":1,\
@@ -427,7 +432,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_sound_message(
-        which in 0usize..26,
+        which in 0usize..27,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -436,7 +441,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..26, to in 0usize..26) {
+    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..27, to in 0usize..27) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

@@ -7,7 +7,7 @@ import { NodeTable } from "./nodes.js";
 import { age, showNow, showStale } from "./overview.js";
 import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
 import { LENGTHS, Points, Span } from "./span.js";
-import { FITS, HEALTH, LEVELS, STATES, canBeSeen, duration, fitWord, lag, levelOf, number, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
+import { FITS, HEALTH, LEVELS, STATES, canBeSeen, compared, duration, fitWord, lag, levelOf, number, offset, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -238,7 +238,7 @@ export class StructurePage {
       part.element.dataset.level = health.level;
       const share = outliers[sensor.channel] ? `, ${percent(outliers[sensor.channel].recent_share)} rejected` : "";
       const distance = nodes[sensor.node]?.distance;
-      setText(part.element, `${health.sign} ${this.sensorNames.get(sensor.channel) ?? sensor.channel}: ${health.word}${share}${distance ? `, distance ${number(distance)}` : ""}`);
+      setText(part.element, `${health.sign} ${this.sensorNames.get(sensor.channel) ?? sensor.channel}: ${health.word}${share}${distance ? `, distance ${number(distance)}` : ""}${compared(sensor.compared)}${offset(sensor.clock)}`);
     });
     keyed(
       this.services,

@@ -35,6 +35,7 @@ export const HEALTH = {
   alive: { sign: "●", word: "delivers", level: "normal" },
   gone: { sign: "✕", word: "gone", level: "warning" },
   silent: { sign: "✕", word: "silent", level: "warning" },
+  "in-doubt": { sign: "▲", word: "in doubt", level: "warning" },
   faulty: { sign: "▲", word: "faulty, not used", level: "warning" },
   excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
   ended: { sign: "■", word: "record has ended", level: "learning" },
@@ -183,6 +184,22 @@ export function lag(seconds, replayed) {
 /** Returns the name of a channel with its quantity, as in the structure file. */
 export function sensorName({ channel, quantity, unit: of }) {
   return `${channel} (${quantity.replaceAll("-", " ")}, ${unit(of)})`;
+}
+
+/** What the comparison of a channel with the others shows. */
+export function compared(channel) {
+  if (!channel || channel.gain === null) return "";
+  const relation = { gain: `${number(channel.gain)} times the motion of the others`, sign: "opposite sign", delay: `${Math.abs(1000 * channel.delay_s).toFixed(0)} ms ${channel.delay_s < 0 ? "before" : "after"} the others`, dead: "does not follow the others", disturbed: "measures something that the others do not" };
+  if (channel.fault) return `, ${relation[channel.fault]}, probability of a fault ${percent(channel.probability, 0)}`;
+  return channel.state === "sound" ? `, agrees with the others (factor ${channel.gain.toFixed(2)}, delay ${(1000 * channel.delay_s).toFixed(0)} ms)` : "";
+}
+
+/** When the node of a sensor samples relative to the frames. */
+export function offset(clock) {
+  if (!clock) return "";
+  const ms = (seconds) => `${(1000 * seconds).toFixed(2)} ms`;
+  const jitter = clock.jitter_s > 0 ? `, time stamps vary by ${ms(clock.jitter_s)}` : "";
+  return `, samples ${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"} the frames${jitter}`;
 }
 
 /** Returns a unit with typographic symbols. */

@@ -1,7 +1,7 @@
 //! Metrics for Prometheus at `GET /metrics`.
 
 use crate::overview::overview;
-use crate::sensors::{SensorHealth, sensor_states};
+use crate::sensors::sensor_states;
 use crate::server::now_ns;
 use crate::store::Store;
 use prometheus_client::encoding::text::encode;
@@ -39,6 +39,8 @@ struct Metrics {
     rejected: Counters,
     rejected_share: Gauges,
     sensor: Gauges,
+    fault: Gauges,
+    offset: Gauges,
     node_distance: Gauges,
     time: Gauges,
     age: Gauges,
@@ -143,6 +145,16 @@ impl Metrics {
             "sensor_alive",
             "1 if a channel delivers samples that are used",
             &self.sensor,
+        );
+        gauge(
+            "sensor_fault_probability",
+            "Probability that a channel is faulty, by comparison with the others",
+            &self.fault,
+        );
+        gauge(
+            "sensor_sampling_offset_seconds",
+            "Time from the frames to the samples of a channel, which are interpolated",
+            &self.offset,
         );
         gauge(
             "node_distance",
@@ -304,10 +316,14 @@ impl Metrics {
                 ("channel", sensor.channel),
                 ("node", sensor.node),
             ];
-            let alive = sensor.health == SensorHealth::Alive;
-            self.sensor
-                .get_or_create(&labels)
-                .set(f64::from(u8::from(alive)));
+            let delivers = f64::from(u8::from(sensor.health.delivers()));
+            self.sensor.get_or_create(&labels).set(delivers);
+            if let Some(compared) = sensor.compared {
+                let probability = compared.probability;
+                self.fault.get_or_create(&labels).set(probability);
+            }
+            let offset_s = sensor.clock.map_or(0.0, |clock| clock.offset_s);
+            self.offset.get_or_create(&labels).set(offset_s);
         }
         for (node, display) in &store.state.nodes {
             set(
@@ -431,6 +447,7 @@ mod tests {
             fit: None,
             undecided: std::collections::BTreeMap::new(),
             instruments: std::collections::BTreeMap::new(),
+            clocks: std::collections::BTreeMap::new(),
             maintenance: Vec::new(),
             state: None,
             done: 1,

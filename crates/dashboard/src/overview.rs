@@ -201,7 +201,7 @@ fn sensor_count(store: &Store) -> SensorCount {
     SensorCount {
         alive: states
             .iter()
-            .filter(|sensor| sensor.health == SensorHealth::Alive)
+            .filter(|sensor| sensor.health.delivers())
             .count(),
         total: states.len(),
         troubled: troubled.collect(),

@@ -3,7 +3,9 @@
 use crate::store::{ALL_CHANNELS, Store};
 use crate::topic::{Kind, SeriesName};
 use serde::Serialize;
-use spandrel_bus::{ChannelState, Name, NodeHealth, Service};
+use spandrel_bus::{
+    ChannelHealthDisplay, ChannelState, Name, NodeClock, NodeHealth, Service, Soundness,
+};
 use spandrel_structure::DrawnSensor;
 
 /// Measurement time without a used sample after which a channel counts as silent (ns).
@@ -19,6 +21,8 @@ pub(crate) enum SensorHealth {
     Gone,
     /// No samples arrive, or none were usable.
     Silent,
+    /// Its samples are perhaps wrong.
+    InDoubt,
     /// Its samples are wrong and are not used.
     Faulty,
     /// Its node disagrees with the other nodes and is excluded.
@@ -30,10 +34,15 @@ pub(crate) enum SensorHealth {
 }
 
 impl SensorHealth {
+    /// Returns `true` if its samples are used.
+    pub(crate) fn delivers(self) -> bool {
+        matches!(self, Self::Alive | Self::InDoubt)
+    }
+
     /// Returns `true` if the sensor needs attention.
     pub(crate) fn is_trouble(self) -> bool {
         match self {
-            Self::Gone | Self::Silent | Self::Faulty | Self::Excluded => true,
+            Self::Gone | Self::Silent | Self::InDoubt | Self::Faulty | Self::Excluded => true,
             Self::Alive | Self::Ended | Self::Unknown => false,
         }
     }
@@ -41,21 +50,41 @@ impl SensorHealth {
 
 /// A channel and its health.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct SensorState {
+pub(crate) struct SensorState<'s> {
     pub(crate) channel: String,
     pub(crate) node: String,
     pub(crate) health: SensorHealth,
+    /// Comparison with the other sensors, if there is any.
+    pub(crate) compared: Option<&'s ChannelHealthDisplay>,
+    /// When its node samples, if not at the times of the frames.
+    pub(crate) clock: Option<NodeClock>,
 }
 
 /// Returns the state of all channels in frame order.
-pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState> {
+pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState<'_>> {
     let sensors = store.about.drawing.sensors.iter();
     let state = |sensor: &DrawnSensor| SensorState {
         channel: sensor.channel.clone(),
         node: sensor.node.clone(),
         health: health(store, sensor),
+        compared: compared(store, sensor),
+        clock: clock(store, sensor),
     };
     sensors.map(state).collect()
+}
+
+/// Returns the comparison of a channel with the others.
+fn compared<'s>(store: &'s Store, sensor: &DrawnSensor) -> Option<&'s ChannelHealthDisplay> {
+    let display = store.state.sensor_health.get(sensor.node.as_str())?;
+    let mut channels = display.channels.iter();
+    channels.find(|channel| channel.channel.as_str() == sensor.channel)
+}
+
+/// Returns when the node of a sensor samples, as ingest reports it.
+fn clock(store: &Store, sensor: &DrawnSensor) -> Option<NodeClock> {
+    let of_ingest = |((service, _), _): &(&(Service, Name), _)| *service == Service::Ingest;
+    let mut statuses = store.state.statuses().filter(of_ingest);
+    statuses.find_map(|(_, status)| status.clocks.get(sensor.node.as_str()).copied())
 }
 
 fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
@@ -67,6 +96,11 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
         .is_some_and(|outlier| outlier.state == ChannelState::Faulty);
     if is_faulty || store.excluded.contains(channel) {
         return SensorHealth::Faulty;
+    }
+    match compared(store, sensor).map(|compared| compared.state) {
+        Some(Soundness::Faulty) => return SensorHealth::Faulty,
+        Some(Soundness::InDoubt) => return SensorHealth::InDoubt,
+        Some(Soundness::Unchecked | Soundness::Sound) | None => {}
     }
     match store.state.nodes.get(node).map(|display| display.state) {
         Some(NodeHealth::Excluded) => return SensorHealth::Excluded,

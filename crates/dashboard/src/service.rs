@@ -33,6 +33,7 @@ const NEEDS: Needs = Needs {
         T::Losses,
         T::Noise,
         T::Outliers,
+        T::SensorHealth,
         T::Classes,
         T::Nodes,
         T::Fit,

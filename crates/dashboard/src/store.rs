@@ -97,6 +97,7 @@ impl Store {
             Input::Loss(m) => self.has_parameter(m.parameter.as_str()),
             Input::Noise(m) => self.has_noise(m.name.as_str()),
             Input::Outlier(m) => self.has_channel(m.channel.as_str()),
+            Input::SensorHealth(m) => self.has_node(m.node.as_str()),
             Input::Node(m) => self.has_node(m.node.as_str()),
             Input::Alert(m) | Input::StandingAlert(m) => self.has_parameter(m.parameter.as_str()),
             Input::Acknowledgement(m) => self.has_parameter(m.parameter.as_str()),

@@ -29,7 +29,7 @@ pub(crate) struct Standing<'s> {
     alerts: Vec<AlertView<'s>>,
     changes: Vec<AlertView<'s>>,
     events: Vec<&'s Event>,
-    sensors: Vec<SensorState>,
+    sensors: Vec<SensorState<'s>>,
     services: Vec<ServiceView<'s>>,
     /// Names of the stored series, as `history` accepts them.
     series: Vec<String>,

@@ -203,6 +203,7 @@ impl Collector {
             Input::Event(event) => self.happened.push(Happened::Event(event)),
             Input::Now(_)
             | Input::Fit(_)
+            | Input::SensorHealth(_)
             | Input::Monitoring(_)
             | Input::Estimates(..)
             | Input::Status(_)

@@ -3,7 +3,7 @@
 use crate::identification::{Identification, Output};
 use spandrel_bus::{
     Bus, BusError, DisplayPublisher, FitDisplay, Keys, Message, ModelClassDisplay, Name,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, SensorHealthDisplay,
 };
 use spandrel_service::EventPublisher;
 use std::collections::BTreeMap;
@@ -15,6 +15,7 @@ pub(crate) struct Displays {
     parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
     noise: BTreeMap<Name, DisplayPublisher<NoiseDisplay>>,
     outliers: BTreeMap<Name, DisplayPublisher<OutlierDisplay>>,
+    sensor_health: BTreeMap<Name, DisplayPublisher<SensorHealthDisplay>>,
     classes: Option<DisplayPublisher<ModelClassDisplay>>,
     fit: DisplayPublisher<FitDisplay>,
     events: EventPublisher,
@@ -42,6 +43,11 @@ impl Displays {
         for name in core.screened_channels() {
             outliers.insert(name.clone(), bus.publish_display(keys.outlier(name)).await?);
         }
+        let mut sensor_health = BTreeMap::new();
+        for node in core.compared_nodes() {
+            let key = keys.sensor_health(node);
+            sensor_health.insert(node.clone(), bus.publish_display(key).await?);
+        }
         let classes = match core.compares_classes() {
             true => Some(bus.publish_display(keys.model_class()).await?),
             false => None,
@@ -52,6 +58,7 @@ impl Displays {
             parameters,
             noise,
             outliers,
+            sensor_health,
             classes,
             fit,
             events,
@@ -71,6 +78,9 @@ impl Displays {
             }
             Output::Noise(display) => show(self.noise.get(&display.name), display).await,
             Output::Outliers(display) => show(self.outliers.get(&display.channel), display).await,
+            Output::SensorHealth(display) => {
+                show(self.sensor_health.get(&display.node), display).await
+            }
             Output::Classes(display) => show(self.classes.as_ref(), display).await,
             Output::Fit(display) => show(Some(&self.fit), display).await,
             Output::Event(event) => self.events.put(event).await,

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Block, ChannelState, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
     FitDisplay, FitVerdict, FrameBlock, Header, ModelClassDisplay, Name, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay, Phase, StreamState, TimeGrid,
+    OutlierDisplay, ParameterDisplay, Phase, SensorHealthDisplay, StreamState, TimeGrid,
 };
 use spandrel_faults::SensorCheck;
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
@@ -94,6 +94,8 @@ pub enum Output {
     Noise(NoiseDisplay),
     /// The outlier screening of a channel, at the display rate and after each change.
     Outliers(OutlierDisplay),
+    /// The comparison of the sensors of a node, at the display rate.
+    SensorHealth(SensorHealthDisplay),
     /// The model classes, at the display rate and after each change.
     Classes(ModelClassDisplay),
     /// The verdict on the fit, at the display rate and after each change.
@@ -157,7 +159,9 @@ pub struct Identification {
     /// Frames until the parameters are identified again after a restart without a faulty sensor, 0
     /// if they are.
     settling: u64,
-    channel_names: Vec<String>,
+    channel_names: Vec<Name>,
+    /// Nodes with a channel that is compared with others, and the channels of each in a frame.
+    compared: Vec<(Name, std::ops::Range<usize>)>,
 }
 
 /// Returns the initial state of an excitation component.
@@ -254,19 +258,18 @@ impl Identification {
             .iter()
             .map(|parameter| named(&parameter.name))
             .collect::<Result<_, _>>()?;
+        let check = SensorCheck::new(structure);
+        let compared = sensors::compared_nodes(structure, &check)?;
+        let channel_names = structure
+            .channels()
+            .map(|channel| named(channel.name()))
+            .collect::<Result<Vec<Name>, IdentifyError>>()?;
         let screening = match estimator.outliers() {
             Some(_) => {
-                let names: Vec<&str> = structure
-                    .nodes()
-                    .iter()
-                    .flat_map(|node| node.channels())
-                    .map(|c| c.name())
-                    .collect();
-                let views = structure
-                    .observation_channels()
-                    .iter()
-                    .map(|channel| Ok(ScreeningView::new(named(names[*channel])?)));
-                views.collect::<Result<_, IdentifyError>>()?
+                let channels = structure.observation_channels().iter();
+                let views =
+                    channels.map(|channel| ScreeningView::new(channel_names[*channel].clone()));
+                views.collect()
             }
             None => Vec::new(),
         };
@@ -316,13 +319,11 @@ impl Identification {
                 })
                 .collect(),
             since_clipped: None,
-            check: SensorCheck::new(structure),
+            check,
             left_out: Vec::new(),
             settling: 0,
-            channel_names: structure
-                .channels()
-                .map(|channel| channel.name().to_owned())
-                .collect(),
+            compared,
+            channel_names,
         })
     }
 
@@ -807,6 +808,7 @@ impl Identification {
                 .display(&self.structure, time_ns, &self.estimator)
                 .map(Output::Fit),
         );
+        outputs.extend(self.sensor_displays(time_ns).map(Output::SensorHealth));
         let excluded = self.excluded_rows();
         if let Some(outliers) = self.estimator.outliers() {
             let views = self.screening.iter_mut().zip(&excluded);

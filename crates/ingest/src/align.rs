@@ -11,12 +11,14 @@
 //! deadline passes, frames do not depend on the order in which blocks of different nodes arrive.
 //! Nor do they depend on how the samples are cut into blocks.
 
-use spandrel_bus::{Block, FrameBlock, Header, Pace, SampleBlock, StreamState, TimeGrid};
+use spandrel_bus::{
+    Block, FrameBlock, Header, NodeClock, Pace, SampleBlock, StreamState, TimeGrid,
+};
 
 use crate::counts::{Counts, NodeCounts};
 use crate::layout::Layout;
 use crate::node_queue::{NodeQueue, Presence};
-use crate::sampling_instants::{NodeClock, WINDOW};
+use crate::sampling_instants::WINDOW;
 
 /// Maximum number of frames in a block.
 const BLOCK_FRAMES: usize = 512;
@@ -187,8 +189,9 @@ impl Alignment {
         self.queues.iter().map(|queue| queue.counts)
     }
 
-    /// Returns when each node samples relative to the frames, in layout order.
-    pub fn node_clocks(&self) -> impl Iterator<Item = NodeClock> {
+    /// Returns when each node samples, in layout order. `None` for a node that samples at the times
+    /// of the frames.
+    pub fn node_clocks(&self) -> impl Iterator<Item = Option<NodeClock>> {
         self.queues.iter().map(NodeQueue::clock)
     }
 

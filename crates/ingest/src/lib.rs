@@ -54,5 +54,4 @@ pub use error::IngestError;
 pub use lateness::Lateness;
 pub use layout::{Layout, LayoutError, NodeLayout};
 pub use recorder::RecordingSettings;
-pub use sampling_instants::NodeClock;
 pub use shell::{FRAMES_KEPT, FrameWait, IngestPlan, IngestService, IngestSettings};

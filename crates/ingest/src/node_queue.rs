@@ -2,10 +2,10 @@
 
 use std::collections::VecDeque;
 
-use spandrel_bus::{Block, Pace, SampleBlock, StreamState};
+use spandrel_bus::{Block, NodeClock, Pace, SampleBlock, StreamState};
 
 use crate::counts::NodeCounts;
-use crate::sampling_instants::{NodeClock, SamplingInstants, Stamp};
+use crate::sampling_instants::{SamplingInstants, Stamp};
 
 /// Maximum number of waiting samples. Further samples are dropped and counted, because a node with
 /// a wrong clock may be permanently ahead.
@@ -104,8 +104,8 @@ impl NodeQueue {
         self.presence = presence;
     }
 
-    /// Returns when the node samples.
-    pub(crate) fn clock(&self) -> NodeClock {
+    /// Returns when the node samples, or `None` if it samples at the times of the frames.
+    pub(crate) fn clock(&self) -> Option<NodeClock> {
         self.instants.clock()
     }
 

@@ -11,7 +11,7 @@
 
 use std::collections::VecDeque;
 
-use spandrel_bus::TimeGrid;
+use spandrel_bus::{NodeClock, TimeGrid};
 
 /// Number of earlier samples that determine the mean phase. A restart reads as many samples again.
 pub(crate) const WINDOW: u64 = 128;
@@ -33,17 +33,6 @@ const LARGEST_STEPS: f64 = 1.0;
 pub(crate) struct Stamp {
     pub(crate) number: (u64, u64),
     pub(crate) time_ns: i64,
-}
-
-/// When a node samples, relative to the frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct NodeClock {
-    /// Time from the frame to the sample of the node, s. It is at most half a step, unless time
-    /// stamps jitter.
-    pub offset_s: f64,
-    /// Largest minus smallest deviation of the time stamps from evenly spaced samples, s, over the
-    /// latest 128 samples.
-    pub jitter_s: f64,
 }
 
 /// The latest samples of a node.
@@ -162,17 +151,16 @@ impl SamplingInstants {
         stencil(HALF_STENCIL, -steps).1.unsigned_abs()
     }
 
-    /// Returns when the node samples; all zero before the first frame.
-    pub(crate) fn clock(&self) -> NodeClock {
+    /// Returns when the node samples, or `None` if it samples at the times of the frames.
+    pub(crate) fn clock(&self) -> Option<NodeClock> {
         let phases = || self.past.iter().map(|(_, phase_ns)| *phase_ns);
-        let spread_ns = phases()
-            .max()
-            .zip(phases().min())
-            .map_or(0, |(max, min)| max - min);
-        NodeClock {
+        let spread = phases().max().zip(phases().min());
+        let jitter_ns = spread.map_or(0, |(max, min)| max - min);
+        let is_off = |ns: i64| (ns as f64 * self.rate_hz / 1e9).abs() > NEGLIGIBLE_STEPS;
+        (is_off(self.offset_ns) || is_off(jitter_ns)).then_some(NodeClock {
             offset_s: self.offset_ns as f64 / 1e9,
-            jitter_s: spread_ns as f64 / 1e9,
-        }
+            jitter_s: jitter_ns as f64 / 1e9,
+        })
     }
 
     /// Removes the samples that do not count for the mean at this sample.

@@ -540,7 +540,10 @@ impl IngestService {
             *drops.entry(reason).or_default() += count;
         }
         drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
+        let nodes = self.layout.nodes().iter().zip(self.core.node_clocks());
+        let clocks = nodes.filter_map(|(node, clock)| Some((node.name.clone(), clock?)));
         let report = Report {
+            clocks: clocks.collect(),
             done: self.done,
             processed_ns: self.last_time_ns,
             drops,

@@ -3,7 +3,8 @@
 use spandrel_bus::{
     Acknowledgement, AlertMessage, EstimateBlock, Event, FitDisplay, HistoryLog, KeyFamily as K,
     LossDisplay, ModelClassDisplay, MonitoringDisplay, Name, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay, Progress, Service, Status, Topic, parse_key,
+    OutlierDisplay, ParameterDisplay, Progress, SensorHealthDisplay, Service, Status, Topic,
+    parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -21,6 +22,8 @@ pub enum Input {
     Noise(NoiseDisplay),
     /// The outliers of a channel.
     Outlier(OutlierDisplay),
+    /// Comparison of the sensors of a node with the others.
+    SensorHealth(SensorHealthDisplay),
     /// The plausibility of the model classes.
     Classes(ModelClassDisplay),
     /// The station's assessment of a node.
@@ -108,6 +111,7 @@ impl Input {
             Self::Loss(m) => (&m.structure, Topic::new(K::Loss, &m.parameter)),
             Self::Noise(m) => (&m.structure, Topic::new(K::Noise, &m.name)),
             Self::Outlier(m) => (&m.structure, Topic::new(K::Outlier, &m.channel)),
+            Self::SensorHealth(m) => (&m.structure, Topic::new(K::SensorHealth, &m.node)),
             Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
             Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),
             Self::Fit(m) => (&m.structure, Topic::single(K::Fit)),

@@ -39,6 +39,8 @@ pub enum DisplayTopic {
     Noise,
     /// [`Input::Outlier`]
     Outliers,
+    /// [`Input::SensorHealth`]
+    SensorHealth,
     /// [`Input::Classes`]
     Classes,
     /// [`Input::Node`]
@@ -251,6 +253,10 @@ impl Place {
             T::Losses => self.queue(K::Loss, |_, m| Input::Loss(m)).await,
             T::Noise => self.queue(K::Noise, |_, m| Input::Noise(m)).await,
             T::Outliers => self.queue(K::Outlier, |_, m| Input::Outlier(m)).await,
+            T::SensorHealth => {
+                self.queue(K::SensorHealth, |_, m| Input::SensorHealth(m))
+                    .await
+            }
             T::Classes => self.queue(K::ModelClass, |_, m| Input::Classes(m)).await,
             T::Nodes => self.queue(K::Node, |_, m| Input::Node(m)).await,
             T::Fit => self.queue(K::Fit, |_, m| Input::Fit(m)).await,

@@ -4,7 +4,7 @@ use crate::input::{Input, Instance};
 use spandrel_bus::{
     AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay,
     MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    Service, Status, is_without_date, reported_pace,
+    SensorHealthDisplay, Service, Status, is_without_date, reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -27,6 +27,8 @@ pub struct StructureState {
     pub noise: BTreeMap<Name, NoiseDisplay>,
     /// Outliers of the channels.
     pub outliers: BTreeMap<Name, OutlierDisplay>,
+    /// Comparison of the sensors of each node with the others.
+    pub sensor_health: BTreeMap<Name, SensorHealthDisplay>,
     /// State of the model classes. `None` if there is a single model or no message has arrived.
     pub classes: Option<ModelClassDisplay>,
     /// Verdict on the fit. `None` before the first message, and if no service judges it.
@@ -115,6 +117,14 @@ impl StructureState {
             Input::Outlier(display) => {
                 let name = display.channel.clone();
                 keep(&mut self.outliers, name, display, left_out);
+            }
+            Input::SensorHealth(display) => {
+                keep(
+                    &mut self.sensor_health,
+                    display.node.clone(),
+                    display,
+                    left_out,
+                );
             }
             Input::Classes(display) => self.classes = Some(display),
             Input::Node(display) => {

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use spandrel_bus::{
-    BusError, DisplayPublisher, FitVerdict, InstrumentStatus, Keys, Load, Maintenance, Name, Pace,
-    Service, Standing, Status, UndecidedBecause,
+    BusError, DisplayPublisher, FitVerdict, InstrumentStatus, Keys, Load, Maintenance, Name,
+    NodeClock, Pace, Service, Standing, Status, UndecidedBecause,
 };
 
 use crate::{Clock, ServiceInstance};
@@ -40,6 +40,8 @@ pub struct Report {
     pub undecided: BTreeMap<UndecidedBecause, u64>,
     /// State of each instrument by its name.
     pub instruments: BTreeMap<String, InstrumentStatus>,
+    /// When the nodes sample, for those that do not sample at the times of the frames.
+    pub clocks: BTreeMap<Name, NodeClock>,
     /// Present maintenance of the structure.
     pub maintenance: Vec<Maintenance>,
 }
@@ -103,6 +105,7 @@ impl StatusPublisher {
             fit: report.fit,
             undecided: report.undecided,
             instruments: report.instruments,
+            clocks: report.clocks,
             maintenance: report.maintenance,
             drops: report.drops,
             restarts: report.restarts,

@@ -134,7 +134,11 @@ impl Chain {
                 Output::Event(event) => spandrel_service::log_event(&event, self.start_ns),
                 Output::Classes(display) => self.collector.take_classes(&display),
                 // only for display on a bus
-                Output::Parameter(_) | Output::Noise(_) | Output::Outliers(_) | Output::Fit(_) => {}
+                Output::Parameter(_)
+                | Output::Noise(_)
+                | Output::Outliers(_)
+                | Output::SensorHealth(_)
+                | Output::Fit(_) => {}
             }
         }
         for alert in self.alerts.drain(..) {

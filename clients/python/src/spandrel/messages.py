@@ -108,6 +108,37 @@ class Outlier:
 
 
 @dataclass(frozen=True)
+class ChannelHealth:
+    """Comparison of one channel with the others.
+
+    `state` is `unchecked`, `sound`, `in-doubt` or `faulty`. `fault` is `gain`, `sign`, `delay`,
+    `dead` or `disturbed`.
+    """
+
+    channel: str
+    state: str
+    probability: float
+    fault: Optional[str]
+    gain: Optional[float]
+    delay_s: Optional[float]
+    coherence: Optional[float]
+
+
+@dataclass(frozen=True)
+class SensorHealth:
+    """Comparison of the sensors of a node with the others."""
+
+    TYPE: ClassVar[str] = "sensor-health"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "sensor/{node}/health"
+
+    structure: str
+    node: str
+    time_ns: int
+    channels: Tuple[ChannelHealth, ...]
+
+
+@dataclass(frozen=True)
 class ClassPlausibility:
     """Plausibility of one model class, named `class` in the message."""
 
@@ -243,6 +274,51 @@ class Alert:
 
 
 @dataclass(frozen=True)
+class ParameterMonitoring:
+    """Whether a change of one parameter would be noticed now, and why not."""
+
+    parameter: str
+    state: str
+    why: Optional[str]
+    sustained_std: Optional[float]
+
+
+@dataclass(frozen=True)
+class ChannelMonitoring:
+    """Share of the samples of one channel that the filter has used in the last 5 s."""
+
+    channel: str
+    state: str
+    used_share: float
+
+
+@dataclass(frozen=True)
+class Monitoring:
+    """Whether damage would be noticed now: `watching`, `degraded` or `blind`."""
+
+    TYPE: ClassVar[str] = "monitoring"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "monitoring"
+
+    structure: str
+    time_ns: int
+    measured_ns: Optional[int]
+    state: str
+    since_ns: int
+    reasons: Tuple[str, ...]
+    parameters: Tuple[ParameterMonitoring, ...]
+    channels: Tuple[ChannelMonitoring, ...]
+
+
+@dataclass(frozen=True)
+class NodeClock:
+    """Time from the frames to the samples of a node, and the variation of its time stamps."""
+
+    offset_s: float
+    jitter_s: float
+
+
+@dataclass(frozen=True)
 class Status:
     """State of a service, published once per second."""
 
@@ -265,9 +341,23 @@ class Status:
     frames_behind: Optional[int] = None
     fit: Optional[str] = None
     undecided: Optional[Mapping[str, int]] = None
+    clocks: Optional[Mapping[str, NodeClock]] = None
 
 
-Message = Union[Parameter, Loss, Noise, Outlier, ModelClass, Fit, Node, Event, Alert, Status]
+Message = Union[
+    Parameter,
+    Loss,
+    Noise,
+    Outlier,
+    SensorHealth,
+    ModelClass,
+    Fit,
+    Monitoring,
+    Node,
+    Event,
+    Alert,
+    Status,
+]
 
 #: All types of display messages.
 MESSAGES: Tuple[Type[Any], ...] = (
@@ -275,8 +365,10 @@ MESSAGES: Tuple[Type[Any], ...] = (
     Loss,
     Noise,
     Outlier,
+    SensorHealth,
     ModelClass,
     Fit,
+    Monitoring,
     Node,
     Event,
     Alert,

@@ -16,6 +16,16 @@ const MAX_REASONS: usize = 1024;
 /// Maximum number of instruments in one status.
 const MAX_INSTRUMENTS: usize = 1024;
 
+/// When a node samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct NodeClock {
+    /// Time from the frame to the sample of the node, s. Values at the time of the frame are
+    /// interpolated. It is at most half a sampling interval, unless time stamps jitter.
+    pub offset_s: f64,
+    /// Largest minus smallest deviation of the recent time stamps from evenly spaced samples, s.
+    pub jitter_s: f64,
+}
+
 /// Whether a service keeps up with its input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -145,6 +155,10 @@ pub struct Status {
     /// State of each instrument by its name. Only feed reports it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub instruments: BTreeMap<String, InstrumentStatus>,
+    /// When the nodes sample. Only ingest reports it, for nodes that do not sample at the times of
+    /// the frames.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub clocks: BTreeMap<Name, NodeClock>,
     /// Present maintenance of the structure. Only notify reports it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub maintenance: Vec<Maintenance>,
@@ -196,6 +210,11 @@ impl Message for Status {
                 check_text("last error", error)?;
             }
         }
+        check_count("clocks", self.clocks.len(), 0, MAX_CHANNELS)?;
+        for clock in self.clocks.values() {
+            check_finite("clock offset", clock.offset_s)?;
+            check_finite("clock jitter", clock.jitter_s)?;
+        }
         check_count("maintenance", self.maintenance.len(), 0, MAX_CHANNELS)?;
         for maintenance in &self.maintenance {
             maintenance.check()?;
@@ -227,6 +246,7 @@ mod tests {
             fit: None,
             undecided: BTreeMap::new(),
             instruments: BTreeMap::new(),
+            clocks: BTreeMap::new(),
             maintenance: Vec::new(),
             drops: BTreeMap::new(),
             restarts: 0,

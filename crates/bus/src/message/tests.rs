@@ -309,6 +309,7 @@ proptest! {
         total::<ParameterDisplay>(&bytes)?;
         total::<NoiseDisplay>(&bytes)?;
         total::<OutlierDisplay>(&bytes)?;
+        total::<SensorHealthDisplay>(&bytes)?;
         total::<ModelClassDisplay>(&bytes)?;
         total::<FitDisplay>(&bytes)?;
         total::<Event>(&bytes)?;

@@ -2,9 +2,14 @@
 
 use super::hearing::Hearing;
 use super::{Identification, Output};
-use spandrel_bus::{EventKind, Excluded};
-use spandrel_faults::{Change, SensorCheck, SensorReference, Soundness};
+use crate::error::IdentifyError;
+use spandrel_bus::{
+    ChannelHealthDisplay, EventKind, Excluded, FaultKind, Name, SensorHealthDisplay,
+};
+use spandrel_faults::{Change, ChannelHealth, Fault, SensorCheck, SensorReference, Soundness};
 use spandrel_filter::Verdict;
+use spandrel_structure::Structure;
+use std::ops::Range;
 
 /// Standard deviation of the parameters, as a share of the prior, while the motion settles after a
 /// restart.
@@ -104,7 +109,7 @@ impl Identification {
             }
         };
         let name = &self.channel_names[change.channel];
-        Some(self.event_of(name, time_ns, kind, &what, why))
+        Some(self.event_of(name.as_str(), time_ns, kind, &what, why))
     }
 
     /// Removes the samples of faulty sensors from the values of the filter.
@@ -151,6 +156,31 @@ impl Identification {
         health.is_some_and(|health| health.soundness == Soundness::Faulty)
     }
 
+    /// Returns the nodes with a channel that is compared with others.
+    pub(crate) fn compared_nodes(&self) -> impl Iterator<Item = &Name> {
+        self.compared.iter().map(|(node, _)| node)
+    }
+
+    /// Returns the messages about the comparison, one per compared node.
+    pub(super) fn sensor_displays(
+        &self,
+        time_ns: i64,
+    ) -> impl Iterator<Item = SensorHealthDisplay> {
+        let display = move |(node, channels): &(Name, Range<usize>)| SensorHealthDisplay {
+            structure: self.structure.clone(),
+            node: node.clone(),
+            time_ns,
+            channels: channels
+                .clone()
+                .map(|channel| {
+                    let health = self.check.health()[channel].unwrap_or_default();
+                    channel_display(&self.channel_names[channel], &health)
+                })
+                .collect(),
+        };
+        self.compared.iter().map(display)
+    }
+
     /// Returns the check of the sensors.
     #[must_use]
     pub fn sensor_check(&self) -> &SensorCheck {
@@ -159,7 +189,7 @@ impl Identification {
 
     /// Expects of the sensors what they have shown in earlier records.
     pub fn expect_sensors(&mut self, references: &[SensorReference]) {
-        let names: Vec<&str> = self.channel_names.iter().map(String::as_str).collect();
+        let names: Vec<&str> = self.channel_names.iter().map(Name::as_str).collect();
         self.check.expect(&names, references);
     }
 
@@ -167,8 +197,54 @@ impl Identification {
     pub fn leave_out(&mut self, channel: &str) -> bool {
         let names = &self.channel_names;
         let mut rows = self.observation_channels.iter();
-        let row = rows.position(|index| names[*index] == channel);
+        let row = rows.position(|index| names[*index].as_str() == channel);
         self.left_out.extend(row);
         row.is_some()
+    }
+}
+
+/// Returns the nodes with a channel that is compared with others, and their channels in a frame.
+pub(super) fn compared_nodes(
+    structure: &Structure,
+    check: &SensorCheck,
+) -> Result<Vec<(Name, Range<usize>)>, IdentifyError> {
+    let mut compared = Vec::new();
+    let mut first = 0;
+    for node in structure.nodes() {
+        let channels = first..first + node.channels().len();
+        first = channels.end;
+        if check.health()[channels.clone()].iter().any(Option::is_some) {
+            let name = Name::new(node.name()).map_err(|source| IdentifyError::Name {
+                structure: structure.name().to_owned(),
+                source,
+            })?;
+            compared.push((name, channels));
+        }
+    }
+    Ok(compared)
+}
+
+fn channel_display(channel: &Name, health: &ChannelHealth) -> ChannelHealthDisplay {
+    use spandrel_bus::Soundness as State;
+    let kind = |fault: Fault| match fault {
+        Fault::Gain(_) => FaultKind::Gain,
+        Fault::Sign(_) => FaultKind::Sign,
+        Fault::Delay(_) => FaultKind::Delay,
+        Fault::Dead => FaultKind::Dead,
+        Fault::Disturbed => FaultKind::Disturbed,
+    };
+    ChannelHealthDisplay {
+        channel: channel.clone(),
+        state: match health.soundness {
+            Soundness::Unchecked => State::Unchecked,
+            Soundness::Sound => State::Sound,
+            Soundness::InDoubt => State::InDoubt,
+            Soundness::Faulty => State::Faulty,
+        },
+        probability: health.probability,
+        fault: health.fault.map(kind),
+        gain: health.gain,
+        delay_s: health.delay_s,
+        coherence: health.coherence,
     }
 }
