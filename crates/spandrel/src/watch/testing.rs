@@ -142,7 +142,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         fit: None,
         undecided: BTreeMap::new(),
         instruments: BTreeMap::new(),
-        clocks: std::collections::BTreeMap::new(),
+        clocks: BTreeMap::new(),
         maintenance: Vec::new(),
         state: None,
         done: 1200,
