@@ -117,7 +117,7 @@ impl Alignment {
         let queues = layout
             .nodes()
             .iter()
-            .map(|node| NodeQueue::new(node.ranges.clone()))
+            .map(|node| NodeQueue::new(node.ranges.clone(), layout.tolerance_ns()))
             .collect();
         Self {
             layout,

@@ -59,9 +59,9 @@ pub(crate) struct NodeQueue {
 }
 
 impl NodeQueue {
-    pub(crate) fn new(ranges: Vec<f64>) -> Self {
+    pub(crate) fn new(ranges: Vec<f64>, tolerance_ns: i64) -> Self {
         Self {
-            instants: SamplingInstants::new(ranges.len()),
+            instants: SamplingInstants::new(ranges.len(), tolerance_ns),
             resumed_at: (0, 0),
             ranges,
             times_ns: VecDeque::new(),
@@ -336,7 +336,7 @@ mod tests {
 
     #[test]
     fn what_a_node_that_was_ahead_has_taken_is_given_back() {
-        let mut queue = NodeQueue::new(vec![1.0; 2]);
+        let mut queue = NodeQueue::new(vec![1.0; 2], 1_000);
         queue.push(&block(0, 0, 100_000));
         let most = room(&queue);
         let mut frame = [0.0; 2];

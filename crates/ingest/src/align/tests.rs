@@ -176,6 +176,23 @@ fn time_stamps_that_jitter_do_not_shift_the_values() {
 }
 
 #[test]
+fn wrong_time_stamps_of_a_few_samples_do_not_shift_the_others() {
+    let nodes = layout(&[1, 1]).nodes().to_vec();
+    let narrow = Layout::new(nodes, 100.0, 0.001).unwrap();
+    let mut alignment = Alignment::new(narrow, "ingest".into(), 1);
+    let mut second = sampled(1, 0, 0, 210);
+    second[8].header.time_ns += 4_000_000;
+    let raw: Vec<f64> = second.iter().flat_map(|b| b.samples.clone()).collect();
+    let frames = feed(&mut alignment, alternately(sampled(0, 0, 0, 210), second));
+    let found = values(&frames);
+    for (number, expected) in raw.iter().enumerate() {
+        let off_grid = (56..63).contains(&number);
+        let expected = if off_grid { -1.0 } else { *expected };
+        assert_eq!(found[2 * number + 1], expected, "frame {number}");
+    }
+}
+
+#[test]
 fn missing_neighbours_leave_a_sample_as_it_is() {
     let mut alignment = alignment(&[1, 1]);
     let mut second = sampled(1, 2_000_000, 0, 70);
