@@ -277,6 +277,10 @@ impl FeedService {
                     from_ns,
                     to_ns,
                 } => {
+                    // Ingest never reaches the times that the wrong clock stated.
+                    if let Some(ahead) = self.ahead.get_mut(node) {
+                        ahead.forget();
+                    }
                     let node = self.core.config().nodes.get(node);
                     let name = node.map_or("", |node| node.name.as_str());
                     warn!(
