@@ -182,6 +182,12 @@ impl Decision {
         }
     }
 
+    /// Removes what a checkpoint does not contain.
+    pub(crate) fn forget_unstored(&mut self) {
+        self.sustained_std = None;
+        self.changes_without.clear();
+    }
+
     /// Sets the change of the estimate if a channel is left out, per observation row. `None` if it
     /// is unknown.
     #[must_use]

@@ -115,6 +115,16 @@ impl AlertState {
         self
     }
 
+    /// Returns `true` if a checkpoint of this state equals one of `other`.
+    pub(crate) fn is_stored_like(&self, other: &Self) -> bool {
+        let stored = |state: &Self| {
+            let mut stored = state.clone();
+            stored.watch.forget_unstored();
+            stored
+        };
+        stored(self) == stored(other)
+    }
+
     /// Returns `true` if every parameter index is valid.
     fn is_consistent(&self) -> bool {
         let parameters = self.basis.parameters.len();

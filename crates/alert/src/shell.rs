@@ -553,7 +553,7 @@ fn begin(
         return Ok(new);
     };
     let state = new.succeed(former.clone());
-    if state != former {
+    if !state.is_stored_like(&former) {
         // The new alerts follow the unsent alerts of the last run.
         let ended = state
             .unsent
