@@ -59,6 +59,10 @@ fn of_alert(alert: &AlertMessage, scene: &Scene<'_>) -> String {
         let fit = fit_in_words(FitVerdict::Doubtful, alert.fit_reasons);
         return format!("Inspect {part}, and check the model ({fit}).");
     }
+    let is_watched = |display: &MonitoringDisplay| display.state == MonitoringState::Watching;
+    if !scene.monitoring.is_some_and(is_watched) {
+        return format!("Inspect {part}, and check the data: not all of the structure is watched.");
+    }
     format!("Inspect {part} first: the data are good, and nothing speaks against the loss.")
 }
 
