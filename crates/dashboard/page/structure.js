@@ -7,7 +7,7 @@ import { NodeTable } from "./nodes.js";
 import { age, showNow, showStale } from "./overview.js";
 import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
 import { LENGTHS, Points, Span } from "./span.js";
-import { FITS, HEALTH, LEVELS, STATES, canBeSeen, compared, duration, fitWord, lag, levelOf, number, offset, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
+import { FITS, HEALTH, LEVELS, canBeSeen, compared, duration, fitWord, lag, number, offset, percent, place, probability, ratio, sensorName, stateOf, step, time } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -204,8 +204,9 @@ export class StructurePage {
     const update = (part, parameter) => {
       const shown = standing.parameters[parameter.name];
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
-      const state = alert ? STATES[alert.state] : null;
-      part.element.dataset.level = alert ? levelOf(alert) : "learning";
+      const state = alert ? stateOf(alert) : null;
+      part.element.dataset.level = state?.level ?? "learning";
+      part.state.title = alert?.unwatched?.why ?? "";
       setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no decision");
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");

@@ -55,6 +55,13 @@ export function levelOf(alert) {
   return alert.state === "unconfirmed" && alert.acknowledged_by ? "notice" : STATES[alert.state].level;
 }
 
+/** Returns sign, word and level of a parameter: normal only if damage would be noticed. */
+export function stateOf(alert) {
+  const { sign, word } = STATES[alert.state];
+  if (alert.state === "normal" && alert.unwatched) return { sign: "○", word: alert.unwatched.state, level: "warning" };
+  return { sign, word, level: levelOf(alert) };
+}
+
 /** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);

@@ -5,7 +5,7 @@ use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
     AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -46,6 +46,8 @@ pub(crate) struct AlertView<'s> {
     pub(crate) note: Option<&'s str>,
     /// Loss by the newest value, if that is newer than the sentence of the alert.
     pub(crate) now: Option<String>,
+    /// Why the present data do not reveal damage of the parameter, if so.
+    pub(crate) unwatched: Option<&'s ParameterMonitoring>,
 }
 
 /// Verdict on the fit as the page shows it.
@@ -114,6 +116,7 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
         stale: store.state.is_alert_stale(name),
         note: store.note(message),
         now: store.state.present_loss(message),
+        unwatched: store.state.unwatched(name),
     })
 }
 
@@ -124,5 +127,6 @@ pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
         stale: false,
         note: store.note(message),
         now: None,
+        unwatched: None,
     })
 }

@@ -3,8 +3,9 @@
 use crate::input::{Input, Instance};
 use spandrel_bus::{
     AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay,
-    MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    SensorHealthDisplay, Service, Status, is_without_date, reported_pace,
+    MonitoringDisplay, MonitoringState, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, ParameterMonitoring, SensorHealthDisplay, Service, Status, is_without_date,
+    reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -279,6 +280,14 @@ impl StructureState {
     pub fn monitoring(&self) -> Option<&MonitoringDisplay> {
         let (display, at) = self.monitoring.as_ref()?;
         (self.now.saturating_sub(*at) <= STALE_AFTER).then_some(display)
+    }
+
+    /// Returns the report on a parameter if the present data do not reveal its damage.
+    #[must_use]
+    pub fn unwatched(&self, parameter: &Name) -> Option<&ParameterMonitoring> {
+        let mut parameters = self.monitoring()?.parameters.iter();
+        let of_it = parameters.find(|of| of.parameter == *parameter)?;
+        (of_it.state != MonitoringState::Watching).then_some(of_it)
     }
 
     /// Returns the time since the last status of an instance, if it exceeds [`STALE_AFTER`].

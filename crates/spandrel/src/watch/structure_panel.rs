@@ -13,8 +13,8 @@ use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, MonitoringState,
-    Name, NoiseDisplay, Service, Standing,
+    AlertMessage, AlertState, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay,
+    MonitoringState, Name, NoiseDisplay, Service, Standing,
 };
 use spandrel_listener::{InstanceState, StructureState};
 
@@ -71,7 +71,12 @@ impl StructurePanel {
         let rows = parameters.iter().map(|parameter| {
             let alert = match structure.alerts.get(&parameter.display.parameter) {
                 Some(alert) if structure.is_alert_stale(&alert.parameter) => AlertCell::Stale,
-                Some(alert) => AlertCell::Of(alert),
+                Some(alert) => match structure.unwatched(&alert.parameter) {
+                    Some(unwatched) if alert.state == AlertState::Normal => {
+                        AlertCell::Unwatched(unwatched.state)
+                    }
+                    _ => AlertCell::Of(alert),
+                },
                 None => AlertCell::Unheard,
             };
             let row = row(axis, columns, &losses, parameter, alert);
@@ -135,6 +140,8 @@ enum AlertCell<'a> {
     Unheard,
     /// The service of the alert has disappeared.
     Stale,
+    /// The parameter was normal, and the present data do not reveal its damage.
+    Unwatched(MonitoringState),
     Of(&'a AlertMessage),
 }
 
@@ -255,6 +262,7 @@ fn row(
     let (state, style) = match alert {
         AlertCell::Unheard => ("–", Style::new()),
         AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM)),
+        AlertCell::Unwatched(state) => (state.as_str(), state_style(AlertState::Undecided)),
         AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state)),
     };
     let bar = axis.bar(columns.bar, &Marks::new(display, loss));
