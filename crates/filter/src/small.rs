@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn congruence_is_that_of_nalgebra_and_symmetric_to_the_bit() {
+    fn congruence_agrees_with_nalgebra_and_is_exactly_symmetric() {
         for (n, arch) in
             (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
         {

@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dome_in_space_is_seen_from_aside() {
+    fn dome_is_drawn_in_an_oblique_view() {
         let dome = drawing("dome.toml");
         let width = |of: fn(&DrawnPoint) -> f64| {
             let all = || dome.points.iter().map(of);

@@ -221,7 +221,7 @@ mod tests {
     ///
     /// `w = F L³/3EI + M L²/2EI`, `φ = F L²/2EI + M L/EI`, `u = N L/EA`.
     #[test]
-    fn the_tip_of_a_cantilever_bends_as_in_the_textbook() {
+    fn tip_deflection_of_a_cantilever_equals_the_textbook() {
         let (l, ei, ea) = (5.0, 2.1e11 * 3e-4, 2.1e11 * 0.02);
         let stiffness =
             element(&SECTION, Vector3::new(l, 0.0, 0.0), MassForm::Consistent).stiffness;

@@ -108,7 +108,7 @@ fn series_agrees_with_the_augmented_exponential() {
 }
 
 #[test]
-fn increment_of_the_mean_is_that_of_the_remainder_form() {
+fn increment_of_the_mean_agrees_with_the_remainder_form() {
     // ch2 §5 check 2: y + Γ g = A_i y + δ_i with δ_i = Γ (g − A_y y).
     let model = oscillator(40.0);
     let y = DVector::from_row_slice(&[0.4, -1.0, 0.7]);

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_cloud_each_cell_keeps_one_point() {
+    fn each_cell_of_a_cloud_keeps_one_point() {
         let points: Vec<(f32, f32)> = (0..9000)
             .map(|i| ((i % 90) as f32 / 10.0, (i / 90) as f32 * 0.09))
             .collect();

@@ -9,7 +9,7 @@ fn with_outliers(keys: &str) -> String {
 }
 
 #[test]
-fn time_that_no_screening_can_have_is_refused_with_its_line() {
+fn error_names_the_line_of_an_impossible_screening_time() {
     for (key, told) in [
         (
             "window-s = 1e12",
