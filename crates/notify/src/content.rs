@@ -92,7 +92,7 @@ impl Content {
         }
     }
 
-    /// Returns `true` if the report calls for somebody, and nobody has acknowledged it.
+    /// Returns `true` if the state requires action, and nobody has acknowledged it.
     pub(crate) fn is_open(&self) -> bool {
         match &self.report {
             Report::Alert(alert) if alert.stands() => alert.is_unseen(),

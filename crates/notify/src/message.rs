@@ -98,7 +98,7 @@ fn of_alert(alert: &AlertMessage) -> Value {
     value
 }
 
-/// Blind and degraded are two alerts. The one that does not hold ends.
+/// Blind and degraded are separate alerts. The inactive alert ends.
 fn of_monitoring(display: &MonitoringDisplay) -> Vec<Value> {
     let states = [
         (MonitoringState::Blind, "SpandrelBlind", "critical"),

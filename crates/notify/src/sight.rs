@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn blindness_before_the_start_is_reported_after_the_delay() {
+    fn blindness_before_the_start_is_reported_after_listening_to_the_bus() {
         let mut sight = Sight::new(name("house"), delays(), s(1000));
         sight.take(monitoring(5000, State::Blind, 0, &["x"]), s(1001));
         assert_eq!(sight.look(Origin::Measured, s(1001), 0), None);

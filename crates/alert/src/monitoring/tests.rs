@@ -149,7 +149,7 @@ fn narrow_estimate_is_blind_if_the_filter_learns_nothing() {
         .iter()
         .find(|one| one.parameter.as_str() == "storey-1");
     let why = of_rule.unwrap().why.clone().unwrap();
-    assert!(why.contains("rests on earlier data"), "{why}");
+    assert!(why.contains("depends on earlier data"), "{why}");
 }
 
 #[test]

@@ -134,7 +134,7 @@ fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
 }
 
 #[test]
-fn station_restarts_from_the_prior_after_contradictory_information() {
+fn station_restarts_from_the_prior_after_an_implausible_fusion() {
     let mut station = station(2, FusionRule::Published, FeedbackRule::Marginal);
     let message = |index, mean: [f64; 2]| LocalEstimate {
         index,
