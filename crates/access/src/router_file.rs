@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_has_its_own_keys_only() {
+    fn sensor_has_only_its_own_keys() {
         assert_eq!(
             keys("sensor.tower.roof", Right::Put),
             ["spandrel/tower/sensor/roof/samples"]

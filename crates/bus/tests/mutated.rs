@@ -460,7 +460,7 @@ fn a_claimed_length_reserves_no_memory() {
 }
 
 #[test]
-fn the_largest_message_needs_no_more_memory_than_its_content() {
+fn largest_message_needs_no_more_memory_than_its_content() {
     // As many minimal items as possible: zeros decode as absent options, empty lists and small
     // numbers.
     for (name, bytes, decode) in messages() {

@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn outer_products_are_subtracted_alike_from_both_triangles() {
+    fn outer_products_are_subtracted_identically_from_both_triangles() {
         for (n, arch) in
             (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
         {

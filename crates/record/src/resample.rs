@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn sine_in_the_pass_band_is_kept_at_its_times() {
+    fn sine_in_the_pass_band_keeps_amplitude_and_phase() {
         // Integer ratios and an irregular one, up and down. The pass band ends at 0.40 of the lower
         // rate.
         for (from_hz, to_hz) in [

@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn each_node_gets_its_channels() {
+    fn each_node_receives_its_channels() {
         let rows = [(0, vec![1.0, 2.0, 3.0]), (STEP, vec![4.0, 5.0, 6.0])];
         let blocks = cut(vec![node("a", 2), node("b", 1)], 10, &rows);
         assert_eq!(of_node(&blocks, 0)[0].samples, [1.0, 2.0, 4.0, 5.0]);

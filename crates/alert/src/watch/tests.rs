@@ -73,7 +73,7 @@ fn alerts_of(watch: &mut Watch, block: &EstimateBlock) -> Vec<Alert> {
 }
 
 #[test]
-fn displayed_losses_are_those_of_the_decisions_at_the_display_rate() {
+fn displayed_losses_equal_those_of_the_decisions() {
     // A reference of 0.9 as from a baseline: 0.82 has lost 8.9 % of it, but 18 % of the design.
     let rule = Rule::new(0.10, 0.95, 0.5, 0.05).unwrap();
     let rule = rule.with_reference(Reference::new(0.9, 0.01).unwrap());
@@ -186,7 +186,7 @@ fn unannounced_state_is_that_of_the_first_rule_of_the_parameter() {
 }
 
 #[test]
-fn training_frames_decide_nothing() {
+fn no_alert_is_decided_during_training() {
     let mut watch = watch();
     let found = alerts_of(
         &mut watch,

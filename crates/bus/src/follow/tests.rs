@@ -308,7 +308,7 @@ fn a_new_epoch_ends_the_wait_for_the_old_one() {
 }
 
 #[test]
-fn an_answer_of_the_old_epoch_does_not_disturb_the_new_one() {
+fn reply_of_the_old_epoch_does_not_affect_the_new_one() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     rig.live(frames(1, 0, 1));
     rig.live(frames(1, 2, 1));

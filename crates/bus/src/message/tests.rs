@@ -125,7 +125,7 @@ fn trailing_bytes_are_refused() {
 }
 
 #[test]
-fn truncated_bytes_are_refused_wherever_they_end() {
+fn bytes_truncated_at_any_length_are_rejected() {
     let payload = estimates(2).encode().unwrap();
     for end in 0..payload.len() {
         let error = EstimateBlock::decode(&EstimateBlock::encoding(), &payload[..end]).unwrap_err();

@@ -84,7 +84,7 @@ fn with_fault(
 }
 
 #[test]
-fn sound_sensors_stay_sound_whatever_the_stiffness() {
+fn sound_sensors_stay_sound_at_any_stiffness() {
     for stiffness in [
         "[2720, 2300, 2360]",
         "[1088, 2300, 2360]",
@@ -132,7 +132,7 @@ fn changes_of_gain_sign_and_delay_are_reported_with_their_size() {
 }
 
 #[test]
-fn dead_sensors_and_other_motions_are_named() {
+fn dead_and_disturbed_sensors_are_detected() {
     let (fault, suspected) = with_fault(FLOOR_2, |n, _| if n % 2 == 0 { 0.005 } else { -0.005 });
     assert_eq!((fault, suspected), (Some(Fault::Dead), vec![FLOOR_2]));
     // The motion of another time.
@@ -158,7 +158,7 @@ fn noise(size: f64) -> impl FnMut() -> f64 {
 }
 
 #[test]
-fn motion_of_a_single_sensor_is_in_doubt_at_once() {
+fn sensor_that_moves_alone_is_in_doubt_at_once() {
     let mut quiet = noise(1e-3);
     let mut frames: Vec<Vec<f64>> = (0..2400)
         .map(|_| (0..4).map(|_| quiet()).collect())

@@ -144,7 +144,7 @@ fn covariance_is_that_of_two_dense_products() {
 }
 
 #[test]
-fn step_above_the_largest_is_cut() {
+fn step_above_the_maximum_is_divided() {
     assert_eq!(Series::choose(10.0, 0.01).substeps, 1);
     assert_eq!(Series::choose(1000.0, 0.01).substeps, 7);
     assert_eq!(Series::choose(f64::NAN, 0.01).substeps, 1);

@@ -114,7 +114,7 @@ fn run(filter: &mut ExtendedKalmanFilter<Linear>, frames: std::ops::Range<usize>
 }
 
 #[test]
-fn without_parameters_and_fading_it_is_the_kalman_filter() {
+fn filter_without_parameters_and_fading_is_the_kalman_filter() {
     // ch2 §5 check 3
     let linear = two_oscillators();
     let (transition, input) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
@@ -611,7 +611,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn order_of_channels_changes_rounding_only(
+    fn order_of_channels_changes_only_rounding(
         entries in proptest::collection::vec(-1.0_f64..1.0, 64),
         data in proptest::collection::vec(-3.0_f64..3.0, 80),
     ) {

@@ -75,7 +75,7 @@ fn entries_outside_the_runs_are_ignored() {
 }
 
 #[test]
-fn zeros_of_a_sparse_factor_change_nothing() {
+fn product_with_a_sparse_factor_agrees_with_nalgebra() {
     let left = matrix(20, 20);
     let sparse = DMatrix::from_fn(20, 6, |row, column| {
         if (row * column) % 5 == 1 {

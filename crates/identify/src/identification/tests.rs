@@ -331,7 +331,7 @@ fn restart_of_the_source_during_motion_keeps_noise_levels_and_parameters() {
 }
 
 #[test]
-fn missing_ground_motion_widens_the_prediction_of_its_step() {
+fn missing_ground_motion_increases_the_variance_of_its_step() {
     let mut block = frames(1000);
     for frame in 500..520 {
         block.values[frame * 6] = f64::NAN; // the ground

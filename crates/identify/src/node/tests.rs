@@ -236,7 +236,7 @@ fn invalid_and_stale_replies_change_nothing() {
 /// Regression: each worker counted its periods from its first sample, so periods of different nodes
 /// did not end together.
 #[test]
-fn periods_end_at_whole_seconds_wherever_the_samples_begin() {
+fn periods_end_at_whole_seconds_for_any_first_sample() {
     for (from, phase_ns) in [(10, 0), (10, 15_000_000), (24, -15_000_000), (25, 0)] {
         let mut worker = worker();
         let mut block = samples(from, 125, Pace::Live);

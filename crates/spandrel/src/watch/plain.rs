@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn before_the_first_value_there_are_no_data() {
+    fn line_states_that_no_data_have_arrived() {
         assert_eq!(
             line(&heard([present(&[(Service::Ingest, "a")])])),
             "tower no data yet; ingest/a"

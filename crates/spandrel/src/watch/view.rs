@@ -543,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn tab_goes_around_the_structures() {
+    fn tab_cycles_through_the_structures() {
         let of = |structure: &str| {
             let mut display = parameter("storey-1", 0, 1.0, 0.1);
             display.structure = name(structure);

@@ -161,7 +161,7 @@ fn record_map_converts_times_and_rates() {
 
 /// The channels of a node can fail together, unless it is the only node.
 #[test]
-fn the_sensors_of_the_filter_are_the_nodes() {
+fn channels_of_one_node_are_one_sensor_unless_it_is_the_only_node() {
     let sensors = |change: &dyn Fn(&str) -> String| {
         let structure = Structure::parse(&change(DEMO), Path::new("demo.toml")).unwrap();
         structure.filter_settings().unwrap().sensors
@@ -410,7 +410,7 @@ fn name_with_invalid_characters_is_rejected() {
 }
 
 #[test]
-fn a_ground_channel_that_nothing_uses_is_refused() {
+fn unused_ground_channel_is_rejected() {
     assert_eq!(
         mistakes_after("measured-on = \"ground\"\n", ""),
         [
@@ -814,7 +814,7 @@ const GROUND: &str = include_str!("../../../../docs/examples/fifty-storeys.toml"
 const WIND: &str = include_str!("../../../../docs/examples/fifty-storeys-wind.toml");
 
 #[test]
-fn a_field_of_forces_is_the_published_wind() {
+fn field_of_forces_equals_the_published_wind() {
     let structure = read(WIND).unwrap();
     assert_eq!(structure.excitations()[0].component_len(), 50);
     assert_eq!(structure.excitation_channels().len(), 50);

@@ -321,7 +321,7 @@ fn sixteen_copies_of_the_prior_fuse_to_the_prior() {
 }
 
 #[test]
-fn useless_messages_are_refused_and_change_nothing() {
+fn invalid_messages_are_rejected_and_change_nothing() {
     let mut station = station(2, FusionRule::default(), FeedbackRule::Marginal);
     let good = LocalEstimate {
         index: 1,

@@ -276,7 +276,7 @@ fn channels_are_distinguished() {
 }
 
 #[test]
-fn blockette_that_points_at_itself_is_refused() {
+fn blockette_that_refers_to_itself_is_rejected() {
     let mut file = PLAIN.integers(&[1, 2]);
     file[50..52].copy_from_slice(&48_u16.to_be_bytes());
     let told = read(&file).unwrap_err().to_string();

@@ -105,7 +105,7 @@ fn groups_that_share_a_storey_or_a_name_are_refused() {
 }
 
 #[test]
-fn a_law_without_bound_is_refused() {
+fn unbounded_law_is_rejected() {
     assert_eq!(
         mistakes_after(BOUC_WEN, "kappa = 1500 ", "kappa = -1000 "),
         [
@@ -156,7 +156,7 @@ fn constants_can_be_scaled_only_with_hysteresis() {
 }
 
 #[test]
-fn dashpots_belong_to_storeys() {
+fn dashpots_require_storeys() {
     let frame = include_str!("../../../../../docs/examples/three-pier-bridge.toml");
     let found = mistakes_after(
         frame,

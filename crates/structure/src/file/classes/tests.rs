@@ -179,7 +179,7 @@ fn floor_of_zero_is_the_rule_of_the_source() {
 }
 
 #[test]
-fn numbers_beyond_memory_or_use_are_refused() {
+fn numbers_out_of_range_or_without_use_are_rejected() {
     for (kind, key, told) in [
         (
             "self-calibrating",

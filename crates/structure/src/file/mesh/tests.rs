@@ -270,7 +270,7 @@ fn coordinates_must_have_the_dimension_of_the_model() {
 }
 
 #[test]
-fn the_ground_of_a_model_with_geometry_needs_a_direction() {
+fn ground_of_a_model_with_geometry_requires_a_direction() {
     assert_eq!(
         mistakes_after("direction = \"x\"\n", ""),
         [

@@ -41,7 +41,7 @@ fn error_names_the_line_of_an_impossible_screening_time() {
 }
 
 #[test]
-fn shortest_and_longest_times_make_a_filter() {
+fn shortest_and_longest_times_give_a_valid_filter() {
     let makes_a_filter = |structure: &Structure| {
         let settings = structure.filter_settings().unwrap();
         spandrel_filter::ExtendedKalmanFilter::new(structure.model(), settings).is_ok()
