@@ -773,7 +773,7 @@ async fn a_node_publishes_only_with_its_own_certificate() {
 }
 
 #[test]
-fn a_certificate_of_another_role_ends_a_subcommand_with_the_roles_that_may() {
+fn subcommand_with_a_certificate_of_another_role_lists_the_allowed_roles() {
     let site = Secured::new(
         &five_storeys(),
         &["viewer.ada", "worker.main", "gateway.demo"],

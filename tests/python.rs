@@ -125,7 +125,7 @@ fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_script_with_a_certificate_receives_what_a_viewer_may() {
+async fn script_with_a_certificate_has_the_rights_of_a_viewer() {
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let structure = folder.path().join("house.toml");

@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn only_sensors_and_those_who_run_a_feed_publish_samples() {
+    fn only_sensors_servers_and_gateways_publish_samples() {
         let putters: Vec<Role> = Role::ALL
             .into_iter()
             .filter(|role| may(*role, Right::Put, K::Samples))
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn those_who_look_put_nothing_but_their_own_status() {
+    fn reading_roles_publish_only_their_own_status_and_operators_also_acknowledgements() {
         let put = |role: Role| {
             rights(role)
                 .into_iter()
@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_does_not_hear_other_sensors() {
+    fn sensor_receives_no_data_of_other_sensors() {
         for family in [K::Samples, K::Frames, K::Estimates, K::Local] {
             assert!(!may(Role::Sensor, Right::Subscribe, family), "{family:?}");
         }

@@ -44,7 +44,7 @@ pub(crate) struct Monitoring {
     segments: VecDeque<Segment>,
     last: Option<Last>,
     state: Option<Judged>,
-    /// A state that the last judgement has found, but not the one before.
+    /// A state found only by the latest judgement.
     candidate: Option<State>,
     /// Whether the estimates contain the innovations of the channels.
     knows_channels: bool,
@@ -185,8 +185,8 @@ impl Monitoring {
     /// Judges the state at the wall-clock time `now_ns` (ns since the Unix epoch, UTC). `silence` is
     /// the time since the last block of estimates.
     ///
-    /// Returns the display, and a change if the state has changed. A state that is found once may
-    /// be an accident, so that it counts from the second judgement on.
+    /// Returns the display, and a change if the state has changed. A new state counts from its
+    /// second judgement, because the first may be an accident.
     pub(crate) fn judge(
         &mut self,
         watch: &Watch,
@@ -348,12 +348,12 @@ fn of_vigilance(vigilance: Vigilance) -> (State, Option<&'static str>) {
         Vigilance::Watching => (State::Watching, None),
         Vigilance::LearnsLittle => (
             State::Degraded,
-            Some("the present data reveal damage only after more time than usual"),
+            Some("damage would show only after more time than usual"),
         ),
         Vigilance::LearnsReference => (State::Blind, Some(REFERENCE_IS_LEARNT)),
         Vigilance::LearnsNothing => (
             State::Blind,
-            Some("the present data reveal nothing, so that the estimate rests on earlier data"),
+            Some("the present data contain no information; the estimate depends on earlier data"),
         ),
         Vigilance::Undecided(because) => (State::Blind, Some(because.words())),
     }
@@ -402,7 +402,7 @@ fn channel_reasons(channels: &[ChannelMonitoring]) -> Vec<String> {
                 listed(names(State::Degraded))
             ),
             _ => format!(
-                "only a part of the samples of {} is used, at least {share:.0} % of each",
+                "at least {share:.0} % of the samples of each of {} are used",
                 listed(names(State::Degraded))
             ),
         });

@@ -495,9 +495,9 @@ impl AlertService {
                 kind: EventKind::Monitoring,
                 subject: state.as_str().to_owned(),
                 what: format!(
-                    "the monitoring is {} instead of {}",
-                    state.as_str(),
-                    change.before.as_str()
+                    "the monitoring changed from {} to {}",
+                    change.before.as_str(),
+                    state.as_str()
                 ),
                 why: match state {
                     MonitoringState::Watching => {

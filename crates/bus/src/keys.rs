@@ -782,7 +782,7 @@ mod tests {
     }
 
     #[test]
-    fn foreign_keys_are_not_ours() {
+    fn foreign_keys_are_not_parsed() {
         let root = Name::new("spandrel").unwrap();
         for key in ["spandrel", "spandrel/tower", "other/tower/frames", ""] {
             assert_eq!(parse_key(&root, key), None, "{key}");

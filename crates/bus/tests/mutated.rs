@@ -431,7 +431,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, ..ProptestConfig::default() })]
 
     #[test]
-    fn damaged_messages_give_an_error_or_a_sound_message(
+    fn damaged_messages_give_an_error_or_a_valid_message(
         which in 0usize..27,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
@@ -441,7 +441,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..27, to in 0usize..27) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..27, to in 0usize..27) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);
@@ -460,7 +460,7 @@ fn a_claimed_length_reserves_no_memory() {
 }
 
 #[test]
-fn the_largest_message_needs_no_more_memory_than_its_content() {
+fn largest_message_needs_no_more_memory_than_its_content() {
     // As many minimal items as possible: zeros decode as absent options, empty lists and small
     // numbers.
     for (name, bytes, decode) in messages() {

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_last_two_states_are_on_the_disk() {
+    async fn last_two_states_are_on_disk() {
         let folder = tempfile::tempdir().unwrap();
         let mut keeper = keeper(folder.path(), Duration::ZERO);
         for sequence in 1..=3_u64 {
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn nothing_is_due_before_its_time() {
+    async fn no_checkpoint_is_due_before_its_interval() {
         let folder = tempfile::tempdir().unwrap();
         let mut keeper = keeper(folder.path(), Duration::from_secs(3600));
         assert!(!keeper.is_due());
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_state_that_cannot_be_kept_leaves_the_one_before_it() {
+    async fn failed_save_keeps_the_previous_state() {
         let folder = tempfile::tempdir().unwrap();
         let mut keeper = keeper(&folder.path().join("below"), Duration::ZERO);
         keeper.keep(at(1), 1_u64, None).await;

@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn newest_and_oldest_are_found_in_the_order_of_epochs_and_numbers() {
+    fn newest_and_oldest_checkpoint_are_found_by_epoch_and_number() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(&folder.path().join("not/yet/there"));
         assert_eq!(
@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn what_somebody_still_needs_is_kept() {
+    fn needed_checkpoints_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         let kept = |needed: Option<Place>| {
@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_away_for_ever_does_not_fill_the_disk() {
+    fn number_of_needed_checkpoints_is_bounded() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         for sequence in 0..70 {
@@ -461,7 +461,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_set_aside_and_the_one_before_it_read() {
+    fn damaged_file_is_set_aside_and_the_previous_file_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         checkpoints.save(at(1, 1), &1_u64).unwrap();
@@ -479,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_that_is_not_taken_is_set_aside_and_the_one_before_it_taken() {
+    fn rejected_state_is_set_aside_and_the_previous_state_is_used() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         for sequence in [1, 2, 3] {
@@ -506,7 +506,7 @@ mod tests {
 
     // The product of matrix dimensions may overflow, and the panic must not terminate the service.
     #[test]
-    fn a_state_whose_decoding_panics_is_set_aside_like_a_damaged_one() {
+    fn state_is_set_aside_if_its_decoding_panics() {
         #[derive(Debug, PartialEq)]
         struct Sized(u64);
         impl<'de> serde::Deserialize<'de> for Sized {
@@ -530,7 +530,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_others_and_half_written_ones_are_not_looked_at() {
+    fn foreign_and_incomplete_files_are_ignored() {
         let folder = tempfile::tempdir().unwrap();
         for name in [
             "identify-1.checkpoint",
@@ -545,7 +545,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_cannot_be_made_is_named() {
+    fn error_names_a_folder_that_cannot_be_created() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();

@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_lets_in_and_nothing_else_does() {
+    fn only_a_valid_token_is_admitted() {
         let (gate, secret) = gate();
         let bearer = |secret: &str| header(AUTHORIZATION, &format!("Bearer {secret}"));
         assert_eq!(
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_end_of_a_session_is_its_time_or_that_it_was_left() {
+    async fn session_ends_at_its_expiry_or_at_sign_out() {
         let (gate, secret) = gate();
         let enter = || {
             let visitor = gate.check(&secret, HERE, at(0)).unwrap();
@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_are_bounded_and_forgotten() {
+    fn number_of_addresses_is_bounded_and_old_addresses_are_removed() {
         let (gate, secret) = gate();
         let address = |number: u32| IpAddr::V4(std::net::Ipv4Addr::from_bits(number));
         for number in 0..=MOST_ADDRESSES as u32 {

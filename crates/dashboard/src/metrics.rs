@@ -389,7 +389,7 @@ mod tests {
     use spandrel_listener::Input;
 
     #[test]
-    fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
+    fn estimates_and_alerts_are_exposed_as_openmetrics() {
         let mut store = demo();
         hear(&mut store, "storey-2", 5_000_000_000, 0.85, 0.997);
         store.handle(Input::Alert(alert(
@@ -433,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_others_cannot_break_a_line() {
+    fn names_of_drop_reasons_are_escaped() {
         let mut store = demo();
         store.handle(Input::Status(spandrel_bus::Status {
             structure: crate::testing::name("demo"),

@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn one_address_takes_its_share_and_others_come_in() {
+    fn connections_of_one_address_are_limited_and_other_addresses_are_admitted() {
         let places = Places::default();
         let mut held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
             .map(|_| places.take(address("10.0.0.7")).unwrap())
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_of_one_ipv6_network_share_their_places() {
+    fn addresses_of_one_ipv6_network_share_one_limit() {
         let places = Places::default();
         let of_host = |host: usize| address(&format!("2001:db8::{host:x}"));
         let held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn there_is_an_end_for_all_together() {
+    fn total_number_of_connections_is_limited() {
         let places = Places::default();
         let here = address("127.0.0.1");
         let held: Vec<Place> = (0..MOST_CONNECTIONS)

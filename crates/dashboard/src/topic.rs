@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_read_as_they_are_written() {
+    fn series_names_are_parsed_back() {
         for kind in Kind::ALL {
             let name = SeriesName::new(kind, "storey-2");
             assert_eq!(SeriesName::parse(&name.to_string()), Some(name));

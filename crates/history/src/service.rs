@@ -531,7 +531,7 @@ mod tests {
 
     /// Regression: the writing task had panicked, and the service continued without a message.
     #[tokio::test]
-    async fn a_service_whose_task_panics_does_not_go_on_without_it() {
+    async fn panic_of_a_task_ends_the_service() {
         let mut tasks = JoinSet::new();
         tasks.spawn(async {});
         tasks.spawn(async { assert_eq!(1, 2, "as it should") });
@@ -540,7 +540,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_the_structure_file_does_not_have_is_refused_with_those_that_it_has() {
+    fn error_lists_the_names_of_the_structure_file() {
         let series = |kind, name: &str| Series {
             kind,
             name: name.to_owned(),

@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn recovery_is_reported_once_no_sample_of_the_span_is_dropped() {
+    fn recovery_is_reported_after_a_span_without_drops() {
         let told = reports((0..30).map(|second| counts(100 * second, 67 * second.min(10))));
         let is_over: Vec<_> = told.iter().map(|(_, report)| report.is_over).collect();
         assert_eq!(is_over, [false, true], "{told:?}");

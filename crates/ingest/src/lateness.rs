@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_node_is_waited_for_no_longer_than_allowed() {
+    fn silent_node_is_awaited_for_at_most_the_lateness() {
         let mut lateness = Lateness::new(ms(100), 2);
         lateness.arrived(1, 0, ms(0));
         for step in 0..30 {
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn when_all_are_silent_what_arrived_is_not_kept_back_for_ever() {
+    fn frames_are_closed_after_the_lateness_if_all_nodes_are_silent() {
         let mut lateness = Lateness::new(ms(100), 2);
         lateness.arrived(0, 70, ms(10));
         assert_eq!(lateness.deadline_ns(ms(1000)), Some(70));

@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_node_that_was_ahead_has_taken_is_given_back() {
+    fn memory_of_a_node_that_was_ahead_is_released() {
         let mut queue = NodeQueue::new(vec![1.0; 2], 1_000);
         queue.push(&block(0, 0, 100_000));
         let most = room(&queue);

@@ -144,7 +144,7 @@ mod tests {
     use spandrel_bus::AlertState;
 
     #[test]
-    fn a_message_on_the_key_of_another_is_misplaced() {
+    fn message_on_a_key_of_another_sender_is_misplaced() {
         let placed = |key: &str, input: &Input| {
             Input::placed(&name("spandrel"), key, |_| input.clone()) == *input
         };

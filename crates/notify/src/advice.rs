@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn advice_depends_on_what_speaks_against_the_loss() {
+    fn advice_depends_on_the_evidence_against_the_loss() {
         let watching = Some(MonitoringState::Watching);
         let raised = |change: fn(&mut AlertMessage)| {
             let mut alert = alert(20, AlertState::Raised);
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn blindness_names_the_node_or_the_server() {
+    fn advice_for_a_blind_structure_names_the_node_or_the_server() {
         let blind = || Report::Monitoring(monitoring(9, MonitoringState::Blind, 5, &["x"]));
         let advice = given(blind(), Some(MonitoringState::Watching), &["ground-node"]);
         assert!(

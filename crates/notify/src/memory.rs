@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn notice_that_a_former_version_could_not_deliver_is_delivered_under_its_key() {
+    fn undelivered_notice_of_a_former_version_is_delivered_under_its_key() {
         for version in FORMER {
             let sent = send(&mut kept_by(version));
             let [(0, key, alert)] = &sent[..] else {
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn alert_that_a_former_version_delivered_is_not_sent_again_and_its_end_is() {
+    fn only_the_end_of_an_alert_delivered_by_a_former_version_is_sent() {
         for version in FORMER {
             let mut outbox = kept_by(version);
             let (_, _, of_storey_2) = send(&mut outbox).remove(0);

@@ -450,9 +450,9 @@ impl Source {
         let period = change.period();
         let until = iso_8601(period.until_ns);
         let what = match change {
-            Change::Begins(_) => format!("maintenance until {until}: no notices are sent"),
-            Change::Ended(_, who) => format!("{who} has ended the maintenance: notices are sent"),
-            Change::Expired(_) => "the maintenance is over: notices are sent".to_owned(),
+            Change::Begins(_) => format!("maintenance until {until}; notices are muted"),
+            Change::Ended(_, who) => format!("{who} ended maintenance; notices are active"),
+            Change::Expired(_) => "maintenance ended; notices are active".to_owned(),
         };
         let subject = period.parameter.as_ref().unwrap_or(&period.structure);
         let event = Event {

@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn unit_in_a_name_is_that_of_the_values_that_are_written() {
+    fn unit_in_a_column_name_is_the_unit_of_the_written_values() {
         let folder = tempfile::tempdir().unwrap();
         let table = folder.path().join("table.csv");
         std::fs::write(&table, "time,roof [g],mood [1-5]\n0,1,3\n0.01,2,4\n").unwrap();
@@ -322,7 +322,7 @@ mod tests {
 
     /// A table without units would not distinguish a velocity from a voltage.
     #[test]
-    fn units_are_stated_and_read_again_in_a_table() {
+    fn units_in_a_table_are_written_and_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let units = ["cm/sec2", "cm/sec", "cm", "Pa", "Volts", "a,b", ""];
         let channel = |(number, unit): (usize, &&str)| {
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_is_found_without_the_unit_behind_its_name() {
+    fn column_is_found_without_the_unit_after_its_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
         std::fs::write(
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn other_ends_of_names_are_refused() {
+    fn other_file_extensions_are_rejected() {
         let told = file().write(Path::new("out.xlsx")).unwrap_err().to_string();
         assert_eq!(
             told,

@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn budget_is_that_of_all_that_is_unpacked() {
+    fn unpacking_budget_covers_all_members_together() {
         let mut budget = UnpackingBudget { left: 10 };
         assert_eq!(budget.unpack(&[1; 6][..]).unwrap().len(), 6);
         assert!(budget.unpack(&[1; 5][..]).is_err());

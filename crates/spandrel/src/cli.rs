@@ -901,7 +901,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_below_their_range_are_refused_with_it() {
+    fn error_names_the_range_of_a_number() {
         for (option, told) in [
             ("--drift=-1", "must be a number, 0 or more"),
             ("--warm-up", "0 or more"),
@@ -923,7 +923,7 @@ mod tests {
     }
 
     #[test]
-    fn defaults_of_particles_are_those_that_help_tells() {
+    fn defaults_of_particles_equal_those_in_the_help() {
         let Command::Estimate(arguments) =
             Arguments::try_parse_from(["spandrel", "estimate", "a.toml", "--record", "a.csv"])
                 .unwrap()

@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_structure_has_its_folder_below_the_root_of_its_site() {
+    fn each_structure_has_a_folder_below_its_bus_root() {
         let settings = StateSettings {
             folder: Some("kept".into()),
             beside: "/etc/spandrel".into(),
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_is_none_is_refused() {
+    fn invalid_times_are_rejected() {
         let read = |text: &str| toml::from_str::<StateSettings>(text);
         assert_eq!(
             read("checkpoint-s = 2").unwrap().checkpoint_s,

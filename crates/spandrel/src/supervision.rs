@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_service_that_panics_lives_again_and_one_that_keeps_panicking_ends_the_process() {
+    async fn service_restarts_after_a_panic_and_repeated_panics_end_the_process() {
         let counted = Arc::new(AtomicU32::new(0));
         let life = |lives| {
             let counted = counted.clone();
@@ -181,7 +181,7 @@ mod tests {
 
     /// Regression test: an aborted service kept running next to its successor, and led.
     #[tokio::test]
-    async fn a_life_ends_with_whoever_has_given_it_up() {
+    async fn service_ends_when_its_supervisor_is_aborted() {
         let (alive, ended) = tokio::sync::oneshot::channel::<()>();
         let (begun, has_begun) = tokio::sync::oneshot::channel();
         let first = async move {
@@ -204,7 +204,7 @@ mod tests {
     /// Regression test: a panic of a filter on its own thread, which its service reports as an
     /// error, ended the process.
     #[tokio::test]
-    async fn a_service_whose_filter_was_lost_lives_again() {
+    async fn service_restarts_after_the_loss_of_its_filter_thread() {
         let lost = || {
             AppError::Identify(IdentifyError::ThreadLost {
                 structure: "tower".to_owned(),

@@ -34,9 +34,9 @@ pub enum EventKind {
     ChannelBack,
     /// A large share of the samples of a node does not reach the frames.
     SamplesDropped,
-    /// The samples of such a node reach the frames again.
+    /// The node's samples reach the frames again.
     SamplesBack,
-    /// The watch over a structure is blind, degraded, or complete again.
+    /// The monitoring became blind, degraded or complete.
     Monitoring,
     /// Maintenance began or ended, so that notices are muted or sent again.
     Maintenance,

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_word_on_the_pace_counts() {
+    fn newest_reported_pace_counts() {
         let at = |time_ns: i64, pace| Status {
             time_ns,
             ..status(pace)
@@ -269,14 +269,14 @@ mod tests {
     }
 
     #[test]
-    fn a_time_near_1970_is_that_of_a_record_without_dates() {
+    fn time_near_1970_means_a_record_without_dates() {
         assert!(
             is_without_date(0) && is_without_date(-5) && !is_without_date(status(None).time_ns)
         );
     }
 
     #[test]
-    fn a_status_without_pace_is_that_of_before() {
+    fn status_without_pace_and_load_omits_both_fields() {
         let text = String::from_utf8(status(None).encode().unwrap()).unwrap();
         for word in ["pace", "load", "frames_behind"] {
             assert!(!text.contains(word), "{text}");

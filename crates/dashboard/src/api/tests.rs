@@ -3,7 +3,7 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 
 #[test]
-fn the_description_has_every_route_and_no_other() {
+fn description_lists_exactly_the_served_routes() {
     let description: Value = serde_json::from_str(OPENAPI).unwrap();
     let described: BTreeSet<(String, String)> = description["paths"]
         .as_object()
@@ -25,7 +25,7 @@ fn the_description_has_every_route_and_no_other() {
 }
 
 #[test]
-fn every_reference_of_the_description_leads_somewhere() {
+fn every_reference_of_the_description_has_a_target() {
     fn check(value: &Value, whole: &Value) {
         match value {
             Value::Object(fields) => {
@@ -47,7 +47,7 @@ fn every_reference_of_the_description_leads_somewhere() {
 }
 
 #[test]
-fn only_a_page_of_this_server_may_send() {
+fn pages_of_other_origins_are_rejected() {
     let headers = |origin: Option<&str>| {
         let mut headers = HeaderMap::new();
         headers.insert(HOST, "127.0.0.1:8080".parse().unwrap());

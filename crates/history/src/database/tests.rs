@@ -264,7 +264,7 @@ async fn keeps_what_happened(database: &Database) {
 }
 
 #[tokio::test]
-async fn a_file_keeps_and_answers() {
+async fn sqlite_file_stores_and_returns_the_history() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     keeps_and_answers(&database).await;
@@ -329,7 +329,7 @@ async fn an_alert_that_is_revised_has_two_rows() {
 mod server;
 
 #[tokio::test]
-async fn a_server_keeps_and_answers_and_may_be_away() {
+async fn postgresql_stores_and_returns_the_history_and_may_be_absent() {
     let Some(mut server) = server::Server::start_or_skip() else {
         return;
     };
@@ -354,7 +354,7 @@ async fn a_server_keeps_and_answers_and_may_be_away() {
 /// Covers strings that the message checks reject, and sums that overflow, which no check of
 /// messages can detect.
 #[tokio::test]
-async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written() {
+async fn invalid_rows_are_set_aside_and_all_others_are_written() {
     let Some(server) = server::Server::start_or_skip() else {
         return;
     };
@@ -441,7 +441,7 @@ async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written(
 /// Covers entries from before names were limited: replies contain them in a form that readers
 /// accept.
 #[tokio::test]
-async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
+async fn stored_names_with_control_characters_are_returned_in_valid_form() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     let mut collector = Collector::new(&demo(), "spandrel");
@@ -475,7 +475,7 @@ async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
 }
 
 #[tokio::test]
-async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
+async fn foreign_file_is_named_and_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("history.sqlite");
     let text =
@@ -493,7 +493,7 @@ async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
 #[tokio::test]
 #[ignore = "two million rows; its figures are in docs/history.md"]
 #[expect(clippy::disallowed_methods, reason = "it tells how long it took")]
-async fn a_month_of_fifty_parameters() {
+async fn month_of_fifty_parameters_needs_less_than_one_gigabyte() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     let start = std::time::Instant::now();
@@ -579,7 +579,7 @@ async fn a_month_of_fifty_parameters() {
 
 // Covers a rollback: an earlier program must not write into tables of an unknown version.
 #[tokio::test]
-async fn tables_of_a_later_version_are_refused_and_left_as_they_are() {
+async fn tables_of_a_later_version_are_rejected_and_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \

@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_noted_is_read_back_and_half_a_word_is_none() {
+    fn written_note_is_read_back_and_an_incomplete_word_is_ignored() {
         let folder = tempfile::tempdir().unwrap();
         let note = || Note::lock(folder.path()).unwrap();
         let found = |note: &Note| (note.is_complete(), note.allows_closed());

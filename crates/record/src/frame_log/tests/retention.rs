@@ -10,7 +10,7 @@ fn bytes_of(folder: &Path) -> u64 {
 }
 
 #[test]
-fn the_oldest_segments_go_when_there_are_too_many_bytes() {
+fn oldest_segments_are_deleted_above_the_limit_of_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let settings = LogSettings {
         keep_bytes: 40_000,
@@ -67,7 +67,7 @@ fn the_newest_segment_is_never_deleted() {
 }
 
 #[test]
-fn segments_that_are_too_old_by_their_frames_go() {
+fn segments_with_too_old_frames_are_deleted() {
     let folder = tempfile::tempdir().unwrap();
     let settings = LogSettings {
         keep_s: 20,
