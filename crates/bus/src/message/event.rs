@@ -36,6 +36,10 @@ pub enum EventKind {
     SamplesDropped,
     /// The node's samples reach the frames again.
     SamplesBack,
+    /// The clock of a node differs from that of most nodes, or no majority of the nodes agrees.
+    ClockWrong,
+    /// The clock of such a node agrees again.
+    ClockRight,
     /// The monitoring became blind, degraded or complete.
     Monitoring,
     /// Maintenance began or ended, so that notices are muted or sent again.
