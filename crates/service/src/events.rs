@@ -53,7 +53,9 @@ fn level(event: &Event) -> Level {
         | EventKind::ChannelBack
         | EventKind::SamplesBack
         | EventKind::Maintenance
-        | EventKind::CaughtUp => Level::INFO,
+        | EventKind::CaughtUp
+        | EventKind::HistoryBack
+        | EventKind::StateBack => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
         | EventKind::Unidentified
@@ -64,6 +66,8 @@ fn level(event: &Event) -> Level {
         | EventKind::SamplesDropped
         | EventKind::Monitoring
         | EventKind::Gap
-        | EventKind::Overloaded => Level::WARN,
+        | EventKind::Overloaded
+        | EventKind::HistoryUnavailable
+        | EventKind::StateLost => Level::WARN,
     }
 }
