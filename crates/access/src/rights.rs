@@ -170,6 +170,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Query, &[K::Alert, K::AlertLog]),
             each(Right::Watch, &[K::Live(Service::Alert)]),
             each(Right::Answer, &[K::History, K::HistoryLog]),
+            // Events about its database.
+            each(Right::Put, &[K::Event]),
             of_service(Service::History),
         ]
         .concat(),

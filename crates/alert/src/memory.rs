@@ -248,6 +248,21 @@ impl Memory {
         }
     }
 
+    /// Reports a folder that is gone, without waiting for something to save.
+    pub(crate) fn look(&mut self) {
+        let is_new = self.failures.consecutive() == 0 && !self.checkpoints.has_folder();
+        if is_new && self.failures.failed() {
+            warn!(
+                "the folder of the checkpoints is gone; alerts may be published again after a crash"
+            );
+        }
+    }
+
+    /// Returns `true` if the last save failed and the folder is back.
+    pub(crate) fn is_back(&self) -> bool {
+        self.failures.consecutive() > 0 && self.checkpoints.has_folder()
+    }
+
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.consecutive();

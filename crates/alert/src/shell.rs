@@ -238,6 +238,7 @@ impl AlertService {
                     }
                     Some(question) = self.questions.next() => self.answer(&question).await?,
                     _ = status.tick() => {
+                        self.look_at_the_memory();
                         self.put_status().await?;
                         self.put_monitoring().await?;
                     }
@@ -281,6 +282,18 @@ impl AlertService {
             topic.is_published = standing.is_some();
         }
         Ok(())
+    }
+
+    /// Reports checkpoints that are gone, and saves one as soon as their folder is back.
+    fn look_at_the_memory(&mut self) {
+        let Some(memory) = &mut self.memory else {
+            return;
+        };
+        memory.look();
+        // At most one attempt per interval of checkpoints, because the disk may still be full.
+        if memory.is_back() && memory.is_due() {
+            self.keep(Vec::new());
+        }
     }
 
     /// Saves a checkpoint with the new alerts, and returns the alerts. They must not be published

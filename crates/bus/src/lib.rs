@@ -43,6 +43,7 @@ mod grid;
 mod keys;
 mod message;
 mod range;
+mod refusals;
 mod span;
 
 mod archive;

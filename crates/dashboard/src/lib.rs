@@ -30,6 +30,9 @@
 //! and `overview` (what needs attention, and why), `view` (data for the page), `history` (spans of
 //! time).
 //!
+//! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
+//! heads), `gate` and `entrance` (who may do what).
+//!
 //! Shell: `api`, `live`, `page` and `server` (browsers), [`DashboardService`] (the whole service).
 //!
 //! The dashboard makes no decisions. It keeps the last hours in memory only and writes nothing to
@@ -57,6 +60,7 @@ mod server;
 
 mod door;
 mod places;
+mod request_lines;
 mod serving;
 
 mod api;

@@ -10,6 +10,8 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 use spandrel_bus::{AlertState, FitReason, FitVerdict, MonitoringState, UndecidedBecause};
+use spandrel_service::Refused;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::AtomicU64;
 
@@ -49,17 +51,25 @@ struct Metrics {
     done: Counters,
     dropped: Counters,
     restarts: Counters,
+    refused: Counters,
     up: Gauges,
 }
 
-/// Writes the metrics of all structures.
+/// Writes the metrics of all structures, and the number of refusals by kind.
 ///
 /// # Errors
 /// None in practice, because writing to a string cannot fail.
 pub(crate) fn metrics<'s>(
     stores: impl Iterator<Item = impl std::ops::Deref<Target = Store> + 's>,
+    refusals: &BTreeMap<Refused, u64>,
 ) -> Result<String, fmt::Error> {
     let metrics = Metrics::default();
+    // A counter exists before its first refusal, because a rate needs two values.
+    for refused in Refused::ALL {
+        let labels = vec![("reason", refused.as_str().to_owned())];
+        let count = refusals.get(&refused).copied().unwrap_or(0);
+        metrics.refused.get_or_create(&labels).inc_by(count);
+    }
     stores.for_each(|store| metrics.add(&store));
     let mut text = String::new();
     encode(&mut text, &metrics.registry())?;
@@ -198,6 +208,11 @@ impl Metrics {
             self.dropped.clone(),
         );
         registry.register("restarts", "Restarts of a filter", self.restarts.clone());
+        registry.register(
+            "refused",
+            "Requests, connections and messages that this process refused",
+            self.refused.clone(),
+        );
         registry
     }
 
@@ -397,8 +412,11 @@ mod tests {
             5_000_000_000,
             AlertState::Raised,
         )));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let refusals = BTreeMap::from([(Refused::WrongToken, 40)]);
+        let text = metrics(std::iter::once(&store), &refusals).unwrap();
         for line in [
+            "spandrel_refused_total{reason=\"wrong-token\"} 40",
+            "spandrel_refused_total{reason=\"bus-handshake\"} 0",
             "spandrel_parameter_mean{structure=\"demo\",parameter=\"storey-2\"} 0.85",
             "spandrel_parameter_probability_of_loss{structure=\"demo\",parameter=\"storey-2\"} 0.997",
             "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"raised\"} 1.0",
@@ -419,7 +437,7 @@ mod tests {
             AlertState::Undecided,
             UndecidedBecause::NothingLearnt,
         ));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
         for line in [
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"doubtful\"} 1.0",
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"supported\"} 0.0",
@@ -455,7 +473,7 @@ mod tests {
             restarts: 0,
             version: String::new(),
         }));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
         assert!(
             text.contains(r#"reason="a\"} 1\nspandrel_up 0 #"} 3"#),
             "{text}"

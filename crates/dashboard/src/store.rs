@@ -258,7 +258,11 @@ impl Store {
                 | EventKind::Maintenance
                 | EventKind::Gap
                 | EventKind::Overloaded
-                | EventKind::CaughtUp => false,
+                | EventKind::CaughtUp
+                | EventKind::HistoryUnavailable
+                | EventKind::HistoryBack
+                | EventKind::StateLost
+                | EventKind::StateBack => false,
             };
         }
         self.events.push_front(event);

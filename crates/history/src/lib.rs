@@ -17,6 +17,7 @@ mod error;
 mod service;
 mod settings;
 mod sums;
+mod trouble;
 
 pub use error::HistoryError;
 pub use service::{HistoryPlan, HistoryService};

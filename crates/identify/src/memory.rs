@@ -170,6 +170,11 @@ impl Memory {
         }
     }
 
+    /// Reports a folder that is gone.
+    pub(crate) async fn look(&mut self) {
+        self.keeper.look().await;
+    }
+
     /// Saves the last state and waits until it is on disk.
     pub(crate) async fn close(mut self, core: &Identification) {
         self.keep(core).await;

@@ -20,7 +20,7 @@ use crate::drop_watch::DropWatch;
 use crate::error::IngestError;
 use crate::layout::Layout;
 use crate::lockout_watch::LockoutWatch;
-use crate::recorder::{Past, Recorder, RecordingSettings};
+use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
 use crate::timekeeping::Timekeeping;
 
 mod clocks;
@@ -356,6 +356,7 @@ impl IngestService {
                         self.report_clocks().await?;
                         self.put_status().await?;
                         self.report_drops().await?;
+                        self.report_folder().await?;
                     }
                     () = &mut stop => break,
                 }
@@ -535,12 +536,48 @@ impl IngestService {
         Ok(())
     }
 
+    /// Publishes an event when the folder of the recording is lost or back.
+    async fn report_folder(&mut self) -> Result<(), IngestError> {
+        let changes = self
+            .recorder
+            .as_mut()
+            .map(|recorder| recorder.take_changes());
+        for change in changes.unwrap_or_default() {
+            let (kind, what, why) = match change {
+                FolderChange::Lost => (
+                    EventKind::StateLost,
+                    "frames are not recorded; they wait in memory",
+                    "the folder of the recording is gone",
+                ),
+                FolderChange::Back => (
+                    EventKind::StateBack,
+                    "frames are recorded again",
+                    "the folder of the recording is back",
+                ),
+            };
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: self.last_time_ns.unwrap_or(0),
+                kind,
+                subject: "ingest".to_owned(),
+                what: what.to_owned(),
+                why: why.to_owned(),
+            };
+            self.events.put(&event).await?;
+        }
+        Ok(())
+    }
+
     async fn put_status(&self) -> Result<(), IngestError> {
         let mut drops: BTreeMap<String, u64> = self.core.counts().drops();
         for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
             *drops.entry(reason).or_default() += count;
         }
         drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
+        if self.frames.refused_queries() > 0 {
+            let refused = self.frames.refused_queries();
+            drops.insert("refused-queries".to_owned(), refused);
+        }
         let report = Report {
             clocks: self.node_clocks(),
             done: self.done,

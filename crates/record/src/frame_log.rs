@@ -45,6 +45,8 @@
 //! last, and frames of an epoch that has ended.
 
 use std::borrow::Cow;
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -81,6 +83,9 @@ use crate::RecordError;
 /// second, and closing a segment reads all of its chunks.
 const MOST_CHUNKS: u32 = 1 << 12;
 const NANOSECONDS: u64 = 1_000_000_000;
+/// Permissions of a new folder and of its files. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
+const FILE_MODE: u32 = 0o600;
 
 /// Length and retention of segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -173,7 +178,11 @@ impl FrameLog {
         settings: LogSettings,
     ) -> Result<(Self, OpenedLog), RecordError> {
         let is_new = !folder.exists();
-        std::fs::create_dir_all(folder).map_err(|source| RecordError::WriteLog {
+        let created = DirBuilder::new()
+            .recursive(true)
+            .mode(FOLDER_MODE)
+            .create(folder);
+        created.map_err(|source| RecordError::WriteLog {
             path: folder.to_owned(),
             source,
         })?;
@@ -277,6 +286,15 @@ impl FrameLog {
         }
         let _ = self.delete_beyond_size();
         Ok(())
+    }
+
+    /// Returns `true` if the files that are being written are no longer at their paths: somebody has
+    /// moved or deleted them, or their disk is away. What is appended then is lost to the folder.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        let is_there =
+            self.note.is_in_place() && self.segment.as_ref().is_none_or(OpenSegment::is_in_place);
+        !is_there
     }
 
     /// Saves a mark on disk that shows after a crash whether the log contains all published frames.

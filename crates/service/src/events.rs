@@ -54,7 +54,9 @@ fn level(event: &Event) -> Level {
         | EventKind::SamplesBack
         | EventKind::ClockRight
         | EventKind::Maintenance
-        | EventKind::CaughtUp => Level::INFO,
+        | EventKind::CaughtUp
+        | EventKind::HistoryBack
+        | EventKind::StateBack => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
         | EventKind::Unidentified
@@ -66,6 +68,8 @@ fn level(event: &Event) -> Level {
         | EventKind::ClockWrong
         | EventKind::Monitoring
         | EventKind::Gap
-        | EventKind::Overloaded => Level::WARN,
+        | EventKind::Overloaded
+        | EventKind::HistoryUnavailable
+        | EventKind::StateLost => Level::WARN,
     }
 }

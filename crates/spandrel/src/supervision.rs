@@ -1,14 +1,16 @@
 //! Supervision of services: restarts after a panic, and notifications to systemd.
 
 use crate::error::AppError;
+use crate::state::State;
 use sd_notify::NotifyState;
+use spandrel_bus::Keys;
 use spandrel_identify::FilterPool;
 use std::collections::VecDeque;
 use std::future::Future;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::task::JoinSet;
-use tokio::time::Instant;
+use tokio::time::{Instant, MissedTickBehavior};
 use tracing::{debug, error, info, warn};
 
 /// Number of panics of one service of one structure within [`PANICS_WITHIN`] that ends the process.
@@ -17,6 +19,8 @@ const MOST_PANICS: usize = 5;
 const PANICS_WITHIN: Duration = Duration::from_secs(60);
 /// Pause before a restart.
 const PAUSE: Duration = Duration::from_millis(200);
+/// Interval between checks of the state folder.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// Runs one service of one structure and restarts it after a panic.
 ///
@@ -138,6 +142,27 @@ pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
         match works {
             true => tell_systemd(NotifyState::Watchdog),
             false => warn!("the filter threads do not respond"),
+        }
+    }
+}
+
+/// Creates the folders of the structures again if the state folder has come back without them.
+///
+/// Never returns.
+pub async fn keep_folders<T>(state: Option<&State>, keys: Vec<Keys>) -> T {
+    let Some(state) = state else {
+        return std::future::pending().await;
+    };
+    let mut look = tokio::time::interval(LOOK_EVERY);
+    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        look.tick().await;
+        let (state, keys) = (state.clone(), keys.clone());
+        // A disk that hangs must not stop the runtime.
+        let looked =
+            tokio::task::spawn_blocking(move || keys.iter().for_each(|k| state.restore_folders(k)));
+        if let Err(error) = looked.await {
+            warn!(%error, "cannot look at the state folder");
         }
     }
 }

@@ -50,6 +50,14 @@ pub enum EventKind {
     Overloaded,
     /// Identification has caught up.
     CaughtUp,
+    /// The history cannot use its database, or had to begin a new file.
+    HistoryUnavailable,
+    /// The history can use its database again.
+    HistoryBack,
+    /// A service cannot save its state, because its folder is gone.
+    StateLost,
+    /// A service can save its state again.
+    StateBack,
 }
 
 /// One event with its reason.

@@ -474,8 +474,9 @@ async fn stored_names_with_control_characters_are_returned_in_valid_form() {
     );
 }
 
+/// Regression: a corrupt file ended the program.
 #[tokio::test]
-async fn foreign_file_is_named_and_unchanged() {
+async fn foreign_file_is_set_aside_and_a_new_database_created() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("history.sqlite");
     let text =
@@ -483,9 +484,89 @@ async fn foreign_file_is_named_and_unchanged() {
             .repeat(20);
     std::fs::write(&path, &text).unwrap();
     let database = Database::new(&Address::Sqlite(path.clone())).unwrap();
-    let error = database.ready().await.unwrap_err();
-    assert!(error.to_string().contains("history.sqlite"), "{error}");
-    assert_eq!(std::fs::read_to_string(path).unwrap(), text);
+    keeps_and_answers(&database).await;
+    let corrupt = database.take_corrupt();
+    assert_eq!(corrupt.len(), 1);
+    assert_eq!(corrupt[0].path, path);
+    assert_eq!(std::fs::read_to_string(&corrupt[0].aside).unwrap(), text);
+    assert!(database.take_corrupt().is_empty());
+}
+
+#[tokio::test]
+async fn a_file_that_is_damaged_while_it_is_open_is_set_aside() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let path = folder.path().join("history.sqlite");
+    let batches = ten_minutes(&mut Collector::new(&demo(), "spandrel"));
+    database.write("life", &batches[..300]).await.unwrap();
+    database.close().await; // moves the last rows to the file
+    let database = file(folder.path()).await;
+    let length = std::fs::metadata(&path).unwrap().len();
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[4096..].fill(0xa5);
+    std::fs::write(&path, bytes).unwrap();
+    let error = database.write("life", &batches[300..]).await.unwrap_err();
+    assert!(error.is_of_a_corrupt_file(&database.address), "{error:?}");
+    let corrupt = database.take_corrupt();
+    assert_eq!(std::fs::metadata(&corrupt[0].aside).unwrap().len(), length);
+    database.write("life", &batches[300..]).await.unwrap();
+}
+
+/// Regression: rows went to a file that no path led to, until the next start.
+#[tokio::test]
+async fn a_file_that_disappears_is_noticed_and_its_folder_is_not_created() {
+    let folder = tempfile::tempdir().unwrap();
+    let (home, away) = (folder.path().join("home"), folder.path().join("away"));
+    let database = file(&home).await;
+    let batches = ten_minutes(&mut Collector::new(&demo(), "spandrel"));
+    database.write("life", &batches[..300]).await.unwrap();
+    std::fs::rename(&home, &away).unwrap();
+    for _ in 0..2 {
+        database.write("life", &batches[300..]).await.unwrap_err();
+    }
+    assert!(!home.exists());
+    std::fs::rename(&away, &home).unwrap();
+    database.write("life", &batches[300..]).await.unwrap();
+    let query = SpanQuery {
+        points: 20_000,
+        ..SpanQuery::default()
+    };
+    let all = database.span(STRUCTURE, &name("demo"), &storey_2(), &query);
+    assert_eq!(all.await.unwrap().rows.time_s.len(), 6_000);
+}
+
+/// Regression: "database is locked" when old rows were deleted during a write.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn writes_deletions_and_another_process_wait_for_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    // Another process has its own connections to the same file.
+    let other = file(folder.path()).await;
+    let batches = ten_minutes(&mut Collector::new(&demo(), "spandrel"));
+    let keep = Keep {
+        display_s: Some(60),
+        ..Keep::default()
+    };
+    let mut tasks = tokio::task::JoinSet::new();
+    for (database, life) in [(database.clone(), "first"), (other, "second")] {
+        let batches = batches.clone();
+        tasks.spawn(async move {
+            for batch in batches.chunks(2) {
+                database.write(life, batch).await?;
+            }
+            Ok::<(), HistoryError>(())
+        });
+    }
+    tasks.spawn(async move {
+        for second in 0..200 {
+            let newest_ns = START_NS + second * SECOND_NS;
+            database.prune(STRUCTURE, newest_ns, &keep).await?;
+        }
+        Ok(())
+    });
+    for ended in tasks.join_all().await {
+        ended.unwrap();
+    }
 }
 
 /// Measures file size and query time for fifty parameters: a month by minute, hour and day, and an
@@ -584,7 +665,10 @@ async fn tables_of_a_later_version_are_rejected_and_unchanged() {
     let database = file(folder.path()).await;
     let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
                  VALUES (2, 'later', TRUE, x'00', 0)";
-    sqlx::query(later).execute(&database.pool).await.unwrap();
+    sqlx::query(later)
+        .execute(&database.pool().await.unwrap())
+        .await
+        .unwrap();
     let earlier = Database::new(&database.address).unwrap();
     let mut collector = Collector::new(&demo(), "spandrel");
     let batches = ten_minutes(&mut collector);
@@ -599,7 +683,7 @@ async fn tables_of_a_later_version_are_rejected_and_unchanged() {
         "{told}"
     );
     let rows = sqlx::query("SELECT COUNT(*) FROM series")
-        .fetch_one(&database.pool)
+        .fetch_one(&database.pool().await.unwrap())
         .await
         .unwrap();
     assert_eq!(rows.try_get::<i64, _>(0).unwrap(), 0);
