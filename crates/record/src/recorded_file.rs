@@ -175,12 +175,10 @@ impl Place {
     /// Returns the error of reading a table. Damaged compressed data have no line.
     fn unreadable_table(&self, error: RecordError) -> RecordError {
         match error {
-            RecordError::Read { source, path, line } if self.archive.is_some() => {
-                match source.is_io_error() {
-                    true => self.unreadable(io::Error::from(source)),
-                    false => RecordError::Read { source, path, line },
-                }
-            }
+            RecordError::Read { source, .. } if self.archive.is_some() => match source.into_kind() {
+                csv::ErrorKind::Io(error) => self.unreadable(error),
+                kind => self.unreadable(io::Error::other(format!("{kind:?}"))),
+            },
             error => error,
         }
     }
