@@ -1,4 +1,4 @@
-use std::io::Write;
+use std::io::{Cursor, Write};
 
 use proptest::prelude::*;
 
@@ -256,7 +256,8 @@ proptest! {
             false => bytes,
         };
         let file = [BEGINNINGS[place], &bytes].concat();
-        let _ = Reading::of(&ReadOptions::default()).bytes(file, Path::new("x.csv"), 0);
+        let source = Source::new(Cursor::new(file)).unwrap();
+        let _ = Reading::of(&ReadOptions::default()).source(source, &Place::of(Path::new("x.csv")));
     }
 
     #[test]
@@ -264,6 +265,7 @@ proptest! {
         let mut file = format!("{:<124}", "MATLAB 5.0 MAT-file").into_bytes();
         file.extend(if is_big { [1, 0, b'M', b'I'] } else { [0, 1, b'I', b'M'] });
         file.extend(bytes);
-        let _ = Reading::of(&ReadOptions::default()).bytes(file, Path::new("x.mat"), 0);
+        let source = Source::new(Cursor::new(file)).unwrap();
+        let _ = Reading::of(&ReadOptions::default()).source(source, &Place::of(Path::new("x.mat")));
     }
 }

@@ -1,6 +1,12 @@
 use std::io::Write;
 
 use super::*;
+use crate::unpacked::UnpackingBudget;
+
+/// Reads a file with a budget of its own.
+fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
+    super::read(bytes, &UnpackingBudget::in_memory())
+}
 
 /// A writer of elements in one byte order.
 struct Writer {
