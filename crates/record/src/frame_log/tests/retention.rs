@@ -106,14 +106,15 @@ fn segments_with_too_old_frames_are_deleted() {
         [(1, 2900, 5000)],
         "20 s before the last frame, and the segment that has this time"
     );
-    // The next frame is a day later.
+    // The next frame is a day later. All earlier segments are too old, except the last one before
+    // it.
     age(folder.path(), Duration::from_secs(86_400));
     let later = LoggedFrames {
         t0_ns: T0_NS + 86_400_000_000_000,
         ..frames(2, 0, 1)
     };
     log.append(&[later]).unwrap();
-    assert_eq!(kept(&log), [(2, 0, 1)]);
+    assert_eq!(kept(&log), [(1, 4900, 5000), (2, 0, 1)]);
 }
 
 // The clocks of all sensors were 400 days ahead for ten seconds, and everything before was deleted.
