@@ -91,8 +91,8 @@ pub struct LogSettings {
     pub segment_s: u64,
     /// Maximum total size of all segments, in bytes. The oldest segments beyond it are deleted.
     pub keep_bytes: u64,
-    /// Maximum age of frames, in s, relative to the newest frame. Segments that contain only older
-    /// frames are deleted.
+    /// Maximum age of frames, in s, relative to the newest frame. Segments are deleted if they
+    /// contain only older frames, and if their files have not been written for as long.
     pub keep_s: u64,
 }
 
@@ -422,22 +422,35 @@ impl FrameLog {
         }
     }
 
-    /// Deletes the oldest segments whose frames are all too old. The start of the next segment
-    /// marks the end of a segment.
+    /// Deletes the oldest segments that are too old.
+    ///
+    /// The clock of this machine must say so, as the file system recorded it, and the times of the
+    /// frames must not contradict it. A jump of either clock then deletes nothing. The start of the
+    /// next segment marks the end of a segment. Frames later than `newest_ns` have a wrong time.
     fn delete_older_than(&self, newest_ns: i64) -> Result<(), RecordError> {
         let keep_ns =
             i64::try_from(self.settings.keep_s.saturating_mul(NANOSECONDS)).unwrap_or(i64::MAX);
         let first_kept_ns = newest_ns.saturating_sub(keep_ns);
         let names = self.folder.names();
-        let mut over = 0;
-        for (place, name) in names.iter().enumerate().skip(1) {
-            match opening::start_ns(&self.folder, *name) {
-                Some(start_ns) if start_ns < first_kept_ns => over = place,
-                Some(_) => break,
-                // This segment cannot be read, so the next one decides.
-                None => {}
+        let Some(latest) = names.last().and_then(|name| self.folder.written_at(*name)) else {
+            return Ok(());
+        };
+        let is_written_long_ago = |name: SegmentName| {
+            let age = self
+                .folder
+                .written_at(name)
+                .and_then(|at| latest.duration_since(at).ok());
+            age.is_some_and(|age| age.as_secs() >= self.settings.keep_s)
+        };
+        let is_recent = |start_ns: i64| (first_kept_ns..=newest_ns).contains(&start_ns);
+        let is_too_old = |pair: &&[SegmentName]| match pair {
+            [name, next] => {
+                is_written_long_ago(*name)
+                    && !opening::start_ns(&self.folder, *next).is_some_and(is_recent)
             }
-        }
+            _ => false,
+        };
+        let over = names.windows(2).take_while(is_too_old).count();
         names
             .into_iter()
             .take(over)
