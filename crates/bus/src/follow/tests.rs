@@ -732,3 +732,161 @@ fn what_was_kept_while_standing_by_is_answered_in_the_term_of_the_lead() {
     };
     assert_eq!(ring.answer(&range), Answer::Block(estimates(9, "b", 5, 3)));
 }
+
+/// Returns a block of an epoch with a second of items, one per second.
+fn second(epoch: u64, number: u64) -> FrameBlock {
+    let mut block = frames(epoch, number, 1);
+    block.header.time_ns = number as i64 * 1_000_000_000;
+    block
+}
+
+/// Returns epoch and number of each delivered item.
+fn delivered_items(rig: &Rig) -> Vec<(u64, u64)> {
+    let item = |delivery: &Delivery<FrameBlock>| match delivery {
+        Delivery::Block(block) => Some((block.header.epoch, block.header.sequence)),
+        Delivery::Gap(_) => None,
+    };
+    rig.got.iter().filter_map(item).collect()
+}
+
+// The real node was refused after every restart, until its clock passed the epoch.
+#[test]
+fn source_that_a_higher_epoch_has_locked_out_is_read_again() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(second(7, 0));
+    // Another program runs under the same name for a while, with its clock in the future.
+    for number in 0..5 {
+        rig.live(second(9, number));
+        rig.fail_with(Silence::NoBuffer);
+        rig.live(second(7, 1 + number));
+    }
+    let locked_out = rig.follower.counts().clone();
+    for number in 6..40 {
+        rig.live(second(7, number));
+    }
+    let items = delivered_items(&rig);
+    assert_eq!(items[..6], [(7, 0), (9, 0), (9, 1), (9, 2), (9, 3), (9, 4)]);
+    let again = items[6];
+    assert!(again.0 == 7 && again.1 <= 16, "{again:?}");
+    assert_eq!(
+        items[6..],
+        (again.1..40).map(|n| (7, n)).collect::<Vec<_>>()
+    );
+    assert_eq!(locked_out.stale_blocks, 5, "{locked_out:?}");
+    assert_eq!(rig.follower.counts().locked_out_blocks, again.1 - 6);
+}
+
+#[test]
+fn checkpoint_of_a_higher_epoch_locks_a_source_out_for_seconds_only() {
+    let start = Start::At {
+        epoch: u64::MAX,
+        sequence: 4,
+    };
+    let mut rig = Rig::new(start, 100, 3);
+    for number in 0..20 {
+        rig.live(second(7, number));
+    }
+    let first = delivered_items(&rig)[0];
+    assert!(first.0 == 7 && first.1 < 10, "{first:?}");
+}
+
+#[test]
+fn blocks_that_a_former_run_has_in_transit_do_not_bring_it_back() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(second(1, 0));
+    rig.live(second(2, 0));
+    for number in 1..9 {
+        rig.live(second(1, number));
+    }
+    rig.live(second(2, 1));
+    for number in 9..17 {
+        rig.live(second(1, number));
+    }
+    assert_eq!(delivered_items(&rig), [(1, 0), (2, 0), (2, 1)]);
+}
+
+#[test]
+fn epoch_and_term_after_the_last_possible_one_are_impossible() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(1, 0, 1));
+    for epoch in [u64::MAX, 1 << 63] {
+        rig.live(frames(epoch, 0, 1));
+    }
+    rig.live(frames(1, 1, 1));
+    assert_eq!(
+        (rig.items(), rig.follower.counts().impossible_blocks),
+        (all(0..2), 2)
+    );
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
+    follower.live(estimates(7, "a", 0, 3), &mut actions);
+    follower.live(estimates(u64::MAX, "b", 3, 3), &mut actions);
+    follower.live(estimates(7, "a", 3, 3), &mut actions);
+    assert_eq!(delivered(&mut actions), [(0, 3, 7), (3, 6, 7)]);
+    assert_eq!(follower.counts().impossible_blocks, 1);
+}
+
+// A single forged block excluded the node until its clock passed the epoch.
+#[test]
+fn epoch_that_the_source_denies_is_dropped() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(2);
+    rig.live(first);
+    rig.live(frames(9, 0, 1));
+    rig.answer(); // the source has never begun epoch 9
+    rig.settle();
+    let second = rig.put(2);
+    rig.live(frames(9, 1, 1));
+    rig.live(second);
+    rig.settle();
+    let blocks = rig.got.iter().filter_map(|delivery| match delivery {
+        Delivery::Block(block) => Some((block.header.epoch, block.header.sequence)),
+        Delivery::Gap(_) => None,
+    });
+    assert_eq!(blocks.collect::<Vec<_>>(), [(1, 0), (9, 0), (1, 2)]);
+    assert_eq!(rig.follower.counts().impossible_blocks, 2);
+}
+
+#[test]
+fn epoch_that_the_source_confirms_is_read_at_once() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(0, 0, 2));
+    let first = rig.put(1);
+    rig.live(first);
+    rig.put(1); // lost
+    rig.settle();
+    assert_eq!(delivered_items(&rig), [(0, 0), (1, 0), (1, 1)]);
+    assert_eq!(rig.follower.counts().impossible_blocks, 0);
+}
+
+// Alert was deaf until its restart.
+#[test]
+fn leader_that_a_forged_term_has_excluded_is_read_again_and_nothing_is_lost() {
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
+    follower.live(estimates(7, "a", 0, 200), &mut actions);
+    follower.live(estimates(1 << 62, "b", 200, 1), &mut actions);
+    for number in 1..20 {
+        follower.live(estimates(7, "a", 200 * number, 200), &mut actions);
+    }
+    let range = QueryRange {
+        after: 201,
+        limit: 100,
+        epoch: Some(1),
+    };
+    let fetch = actions.iter().find_map(|action| match action {
+        Action::Fetch { range, .. } => Some(*range),
+        Action::Deliver(_) => None,
+    });
+    assert_eq!(fetch, Some(range));
+    follower.answered(Answer::Block(estimates(7, "a", 201, 3799)), &mut actions);
+    let got = delivered(&mut actions);
+    assert_eq!(got[..2], [(0, 200, 7), (200, 201, 1 << 62)]);
+    assert_eq!(got[2..].first().map(|(from, ..)| *from), Some(201));
+    assert_eq!(got.last().map(|(_, end, _)| *end), Some(4000));
+    assert_eq!(follower.counts().gap_items, 0);
+}
