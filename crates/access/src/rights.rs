@@ -148,6 +148,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Alert => [
             each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
+            // This status names nodes with a wrong clock.
+            each(Right::Subscribe, &[K::Status(Service::Ingest)]),
             each(
                 Right::Put,
                 &[

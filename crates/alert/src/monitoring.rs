@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Block, ChannelMonitoring, EstimateBlock, MonitoringDisplay, MonitoringState as State, Name,
-    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, StreamState, UndecidedBecause,
+    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, Status, StreamState, UndecidedBecause,
 };
 use spandrel_structure::Structure;
 
@@ -48,6 +48,8 @@ pub(crate) struct Monitoring {
     candidate: Option<State>,
     /// Whether the estimates contain the innovations of the channels.
     knows_channels: bool,
+    /// Nodes whose clock differs from that of most nodes, and the difference, s: positive if ahead.
+    wrong_clocks: Vec<(Name, f64)>,
 }
 
 #[derive(Debug)]
@@ -142,7 +144,15 @@ impl Monitoring {
             state: None,
             candidate: None,
             knows_channels: false,
+            wrong_clocks: Vec::new(),
         })
+    }
+
+    /// Takes the clocks of the nodes from the status of ingest.
+    pub(crate) fn take_clocks(&mut self, of_ingest: &Status) {
+        let clocks = of_ingest.clocks.iter();
+        let wrong = clocks.filter_map(|(node, clock)| Some((node.clone(), clock.difference_s?)));
+        self.wrong_clocks = wrong.collect();
     }
 
     /// Counts the used samples of a block.
@@ -309,6 +319,7 @@ impl Monitoring {
             reasons.push("no sensor of the response delivers usable samples".to_owned());
         }
         let is_blind = !reasons.is_empty();
+        reasons.extend(clock_reason(&self.wrong_clocks));
         if !self.is_without_response(channels) {
             reasons.extend(channel_reasons(channels));
         }
@@ -372,6 +383,29 @@ fn without_rule(
             Some("the present data reveal less than the prior"),
         ),
         _ => (State::Watching, None),
+    }
+}
+
+/// Returns a reason that names the nodes whose clock is wrong.
+fn clock_reason(wrong: &[(Name, f64)]) -> Option<String> {
+    match wrong {
+        [] => None,
+        [(node, difference_s)] => {
+            let side = match *difference_s < 0.0 {
+                true => "behind",
+                false => "ahead of",
+            };
+            let seconds = difference_s.abs();
+            Some(format!(
+                "the clock of {node} is {seconds:.1} s {side} most nodes"
+            ))
+        }
+        _ => {
+            let names = listed(wrong.iter().map(|(node, _)| node));
+            Some(format!(
+                "the clocks of {names} differ from those of most nodes"
+            ))
+        }
     }
 }
 

@@ -35,6 +35,7 @@ export const HEALTH = {
   alive: { sign: "●", word: "delivers", level: "normal" },
   gone: { sign: "✕", word: "gone", level: "warning" },
   silent: { sign: "✕", word: "silent", level: "warning" },
+  "wrong-clock": { sign: "✕", word: "wrong clock, not used", level: "warning" },
   "in-doubt": { sign: "▲", word: "in doubt", level: "warning" },
   faulty: { sign: "▲", word: "faulty, not used", level: "warning" },
   excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
@@ -197,6 +198,8 @@ export function compared(channel) {
 /** When the node of a sensor samples relative to the frames. */
 export function offset(clock) {
   if (!clock) return "";
+  const difference = clock.difference_s ?? 0;
+  if (difference) return `, its clock is ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? "behind" : "ahead of"} most nodes`;
   const ms = (seconds) => `${(1000 * seconds).toFixed(2)} ms`;
   const jitter = clock.jitter_s > 0 ? `, time stamps vary by ${ms(clock.jitter_s)}` : "";
   return `, samples ${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"} the frames${jitter}`;

@@ -252,6 +252,8 @@ impl Store {
                 | EventKind::ChannelInDoubt
                 | EventKind::SamplesDropped
                 | EventKind::SamplesBack
+                | EventKind::ClockWrong
+                | EventKind::ClockRight
                 | EventKind::Monitoring
                 | EventKind::Maintenance
                 | EventKind::Gap

@@ -38,6 +38,13 @@ impl Lateness {
         self.nodes.fill_with(Arrivals::default);
     }
 
+    /// Forgets the arrivals of a node whose clock is wrong.
+    pub fn forget(&mut self, node: usize) {
+        if let Some(arrivals) = self.nodes.get_mut(node) {
+            *arrivals = Arrivals::default();
+        }
+    }
+
     /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a reading
     /// of any monotonic clock.
     pub fn arrived(&mut self, node: usize, time_ns: i64, now: Duration) {
@@ -52,6 +59,7 @@ impl Lateness {
     ///
     /// The result is the lower median of the newest sample times of the nodes, as of `now` minus
     /// the allowed lateness. It includes only nodes that still deliver, or all nodes if none does.
+    /// A node that has begun since then counts as the earliest.
     /// The median prevents one node with a clock far ahead from making the other nodes late.
     pub fn deadline_ns(&mut self, now: Duration) -> Option<i64> {
         let begin = now.checked_sub(self.allowed)?;
@@ -66,8 +74,9 @@ impl Lateness {
             self.nodes
                 .iter()
                 .filter(delivers)
-                .filter_map(|a| a.overdue_ns),
-        );
+                .map(|a| a.overdue_ns.unwrap_or(i64::MIN)),
+        )
+        .filter(|time_ns| *time_ns > i64::MIN);
         let some_deliver = self.nodes.iter().any(|arrivals| delivers(&arrivals));
         if some_deliver {
             delivering
@@ -110,6 +119,17 @@ mod tests {
             lateness.arrived(1, 1_000_000 + step * 10, ms(10 * step as u64));
         }
         assert_eq!(lateness.deadline_ns(ms(300)), Some(200));
+    }
+
+    #[test]
+    fn first_node_does_not_make_those_late_that_have_just_begun() {
+        let mut lateness = Lateness::new(ms(100), 3);
+        for step in 0..30 {
+            lateness.arrived(0, 1_000_000 + step * 10, ms(10 * step as u64));
+        }
+        lateness.arrived(1, 300, ms(295));
+        lateness.arrived(2, 300, ms(295));
+        assert_eq!(lateness.deadline_ns(ms(300)), None);
     }
 
     #[test]

@@ -28,6 +28,8 @@ pub(crate) enum Presence {
     Ended,
     /// The node has disappeared without ending its stream.
     Lost,
+    /// The clock of the node differs from that of the majority.
+    Distrusted,
 }
 
 /// The waiting samples of a node in time order.
@@ -154,6 +156,27 @@ impl NodeQueue {
     pub(crate) fn drop_parked(&mut self) {
         let parked = std::mem::take(&mut self.parked);
         self.counts.late += parked.iter().map(Block::count).sum::<u64>();
+    }
+
+    /// Drops all samples, because the clock of the node is wrong.
+    pub(crate) fn distrust(&mut self) {
+        let parked = std::mem::take(&mut self.parked);
+        self.counts.wrong_clock += parked.iter().map(Block::count).sum::<u64>();
+        self.counts.wrong_clock += self.times_ns.len() as u64;
+        self.times_ns.clear();
+        self.numbers.clear();
+        self.values.clear();
+        self.give_back();
+        self.newest_ns = None;
+        self.presence = Presence::Distrusted;
+    }
+
+    /// Drops a block of a node whose clock is wrong.
+    pub(crate) fn drop_block(&mut self, block: &SampleBlock) {
+        self.counts.received += block.count();
+        self.counts.wrong_clock += block.count();
+        self.epoch = Some(block.header.epoch);
+        self.next = (block.header.epoch, block.end());
     }
 
     /// Returns the number of first samples of a block that the recording contains already.

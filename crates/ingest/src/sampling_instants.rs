@@ -160,6 +160,7 @@ impl SamplingInstants {
         (is_off(self.offset_ns) || is_off(jitter_ns)).then_some(NodeClock {
             offset_s: self.offset_ns as f64 / 1e9,
             jitter_s: jitter_ns as f64 / 1e9,
+            difference_s: None,
         })
     }
 

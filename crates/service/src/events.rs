@@ -52,6 +52,7 @@ fn level(event: &Event) -> Level {
         | EventKind::NodeBack
         | EventKind::ChannelBack
         | EventKind::SamplesBack
+        | EventKind::ClockRight
         | EventKind::Maintenance
         | EventKind::CaughtUp => Level::INFO,
         EventKind::Restart
@@ -62,6 +63,7 @@ fn level(event: &Event) -> Level {
         | EventKind::ChannelExcluded
         | EventKind::ChannelInDoubt
         | EventKind::SamplesDropped
+        | EventKind::ClockWrong
         | EventKind::Monitoring
         | EventKind::Gap
         | EventKind::Overloaded => Level::WARN,

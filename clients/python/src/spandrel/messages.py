@@ -312,10 +312,15 @@ class Monitoring:
 
 @dataclass(frozen=True)
 class NodeClock:
-    """Time from the frames to the samples of a node, and the variation of its time stamps."""
+    """Time from the frames to the samples of a node, and the variation of its time stamps.
+
+    ``difference_s`` is the clock of the node minus the clock of most nodes, or ``None`` if they
+    agree.
+    """
 
     offset_s: float
     jitter_s: float
+    difference_s: Optional[float] = None
 
 
 @dataclass(frozen=True)

@@ -195,3 +195,41 @@ fn state_changes_at_the_second_judgement_and_reports_the_change_once() {
     );
     assert_eq!(change.display.since_ns, 3_000_000_000);
 }
+
+#[test]
+fn wrong_clock_of_a_node_is_named() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    let mut status = Status {
+        structure: Name::new("tower").unwrap(),
+        service: Name::new("ingest").unwrap(),
+        id: Name::new("ingest").unwrap(),
+        time_ns: 0,
+        lag_s: None,
+        pace: None,
+        state: None,
+        done: 0,
+        load: None,
+        frames_behind: None,
+        fit: None,
+        undecided: std::collections::BTreeMap::new(),
+        instruments: std::collections::BTreeMap::new(),
+        clocks: std::collections::BTreeMap::new(),
+        maintenance: Vec::new(),
+        drops: std::collections::BTreeMap::new(),
+        restarts: 0,
+        version: String::new(),
+    };
+    let clock = spandrel_bus::NodeClock {
+        difference_s: Some(-3600.0),
+        ..spandrel_bus::NodeClock::default()
+    };
+    status.clocks.insert(Name::new("roof").unwrap(), clock);
+    bench.monitoring.take_clocks(&status);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.state, State::Degraded, "{display:?}");
+    assert_eq!(
+        display.reasons[0],
+        "the clock of roof is 3600.0 s behind most nodes"
+    );
+}

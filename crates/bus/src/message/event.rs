@@ -36,6 +36,10 @@ pub enum EventKind {
     SamplesDropped,
     /// The samples of such a node reach the frames again.
     SamplesBack,
+    /// The clock of a node differs from that of most nodes, or no majority of the nodes agrees.
+    ClockWrong,
+    /// The clock of such a node agrees again.
+    ClockRight,
     /// The watch over a structure is blind, degraded, or complete again.
     Monitoring,
     /// Maintenance began or ended, so that notices are muted or sent again.
