@@ -1,6 +1,6 @@
 //! Overview of a structure: whether it needs attention, and why.
 
-use crate::sensors::{SensorHealth, sensor_states};
+use crate::sensors::sensor_states;
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
