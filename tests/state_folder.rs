@@ -156,9 +156,11 @@ async fn a_state_folder_that_disappears_is_noticed_and_used_again_when_it_is_bac
             recorded.len()
         );
         if returns == Returns::AsItWas {
+            // An overloaded identification publishes one value per second. The rows that came while
+            // the folder was away span 20 s.
             let longest = stored.rows.time_s.windows(2).map(|pair| pair[1] - pair[0]);
             let longest = longest.fold(0.0, f64::max);
-            assert!(longest < 0.15, "{longest} s without a value in the history");
+            assert!(longest < 5.0, "{longest} s without a value in the history");
         }
     }
 }
