@@ -50,7 +50,7 @@ impl ConditionFeed {
     /// values, and values that are not newer than the last one.
     ///
     /// # Errors
-    /// Returns the fault of the packet. The values before the fault are appended.
+    /// Returns the first fault of the packet. All other values are appended.
     pub(crate) fn take(
         &mut self,
         packet: &Packet,
@@ -84,30 +84,45 @@ impl ConditionFeed {
                 at.wall_ns.saturating_sub((steps * step_ns) as i64)
             }
         };
+        let mut fault = None;
         for (index, number) in (0_u32..).zip(&packet.values) {
-            if number.is_nan() {
-                continue;
-            }
             let time_ns = start_ns.saturating_add((f64::from(index) * step_ns).round() as i64);
-            if self.newest_ns.is_some_and(|newest_ns| time_ns <= newest_ns) {
-                self.repeated += 1;
-                continue;
+            match self.reading(*number, time_ns, plan, at) {
+                Ok(reading) => readings.extend(reading),
+                Err(why) => fault = fault.or(Some(format!("{label}: {why}"))),
             }
-            if time_ns > at.wall_ns.saturating_add(MAX_AHEAD_NS) {
-                let ahead_s = time_ns.saturating_sub(at.wall_ns) as f64 / 1e9;
-                return Err(format!(
-                    "{label}: time is {ahead_s:.0} s ahead of the clock of the feed, must be at most {} s",
-                    MAX_AHEAD_NS / 1_000_000_000
-                ));
-            }
-            let value = plan.value_from_number(*number, time_ns);
-            let value = value.map_err(|why| format!("{label}: {} {why}", plan.name))?;
-            self.newest_ns = Some(time_ns);
-            self.published += 1;
-            self.last = Some(value);
-            readings.push(Reading { time_ns, value });
         }
-        Ok(())
+        fault.map_or(Ok(()), Err)
+    }
+
+    /// Converts one value. Returns `None` if it is missing or not newer than the last one.
+    fn reading(
+        &mut self,
+        number: f64,
+        time_ns: i64,
+        plan: &ConditionPlan,
+        at: Moment,
+    ) -> Result<Option<Reading>, String> {
+        if number.is_nan() {
+            return Ok(None);
+        }
+        if self.newest_ns.is_some_and(|newest_ns| time_ns <= newest_ns) {
+            self.repeated += 1;
+            return Ok(None);
+        }
+        if time_ns > at.wall_ns.saturating_add(MAX_AHEAD_NS) {
+            let ahead_s = time_ns.saturating_sub(at.wall_ns) as f64 / 1e9;
+            return Err(format!(
+                "time is {ahead_s:.0} s ahead of the clock of the feed, must be at most {} s",
+                MAX_AHEAD_NS / 1_000_000_000
+            ));
+        }
+        let value = plan.value_from_number(number, time_ns);
+        let value = value.map_err(|why| format!("{} {why}", plan.name))?;
+        self.newest_ns = Some(time_ns);
+        self.published += 1;
+        self.last = Some(value);
+        Ok(Some(Reading { time_ns, value }))
     }
 }
 

@@ -234,7 +234,10 @@ impl<'w> Writing<'w> {
         for (series, time_ns, value) in &batch.conditions {
             let known_ns = match newest.get(series) {
                 Some(known_ns) => *known_ns,
-                None => newest_ns(self.connection, self.number(batch, series)).await?,
+                None => {
+                    let id = self.number(batch, series);
+                    newest_ns(self.connection, id).await?
+                }
             };
             if known_ns.is_some_and(|known_ns| *time_ns <= known_ns) {
                 self.set_aside.repeated += 1;
