@@ -48,12 +48,13 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 12] = [
+const DISPLAYED: [KeyFamily; 13] = [
     K::Parameter,
     K::Loss,
     K::Noise,
     K::Outlier,
     K::SensorHealth,
+    K::Condition,
     K::ModelClass,
     K::Fit,
     K::Monitoring,
@@ -202,7 +203,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
             each(
                 Right::Query,
-                &[K::Alert, K::Description, K::History, K::HistoryLog],
+                &[
+                    K::Alert,
+                    K::Condition,
+                    K::Description,
+                    K::History,
+                    K::HistoryLog,
+                ],
             ),
             watch_all(),
         ]
@@ -215,11 +222,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         // The publisher of a replayed or simulated record waits for its readers and queries the
         // last sample that ingest has stored.
-        // A feed also reports gaps of its instruments as events, and its own status.
+        // A feed also publishes conditions, reports gaps of its instruments as events, and publishes
+        // its own status. The history states which conditions it has stored.
         Role::Gateway => [
             rights(Role::Sensor),
-            each(Right::Query, &[K::Recording]),
-            each(Right::Put, &[K::Event]),
+            each(Right::Query, &[K::Recording, K::History]),
+            each(Right::Put, &[K::Event, K::Condition]),
+            each(Right::Answer, &[K::Condition]),
             of_service(Service::Feed),
         ]
         .concat(),
@@ -266,6 +275,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Node
         | K::Outlier
         | K::SensorHealth
+        | K::Condition
         | K::Event
         | K::Alert
         | K::Acknowledge
@@ -296,6 +306,16 @@ mod tests {
             .collect();
         // A server can run the feed.
         assert_eq!(putters, [Role::Server, Role::Gateway, Role::Sensor]);
+    }
+
+    #[test]
+    fn only_the_roles_of_a_feed_publish_conditions() {
+        let publishers = Role::ALL.into_iter();
+        let publishers = publishers.filter(|role| may(*role, Right::Put, K::Condition));
+        assert_eq!(
+            publishers.collect::<Vec<_>>(),
+            [Role::Server, Role::Gateway]
+        );
     }
 
     #[test]

@@ -12,9 +12,9 @@
 
 use proptest::prelude::*;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
-    EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, Header,
-    HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
+    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, ConditionDisplay, Description,
+    Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
+    Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
     Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers,
     NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress,
     SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
@@ -227,6 +227,10 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
         text::<SensorHealthDisplay>(
             "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"channels\":[{\"channel\":\"roof-x\",\"state\":\"faulty\",\
              \"probability\":0.999,\"fault\":\"gain\",\"gain\":0.7,\"delay_s\":0.001,\"coherence\":0.98}]}",
+        ),
+        text::<ConditionDisplay>(
+            "{\"structure\":\"demo\",\"name\":\"deck-temperature\",\"time_ns\":5,\"value\":-3.5,\"unit\":\"degC\",\
+             \"interval_s\":600.0,\"instrument\":\"Pt100 in the deck\"}",
         ),
         text::<ModelClassDisplay>(
             "{\"structure\":\"demo\",\"time_ns\":5,\"classes\":[{\"class\":\"baseline\",\"plausibility\":0.8},\

@@ -212,9 +212,17 @@ export function offset(clock) {
   return `, samples ${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"} the frames${jitter}`;
 }
 
+/** Returns the level, sign and words of a condition, such as a temperature. */
+export function conditionWords({ name, unit: of, value, age_s, stale, implausible, instrument }) {
+  if (value === null) return { level: "learning", text: `○ ${name}: no value yet` };
+  const fault = stale ? ", the next value is overdue" : implausible ? ", outside its plausible range" : "";
+  const by = instrument ? ` (${instrument})` : "";
+  return { level: fault ? "warning" : "normal", text: `${fault ? "▲" : "●"} ${name}: ${number(value)} ${unit(of)}, ${duration(age_s)} ago${fault}${by}` };
+}
+
 /** Returns a unit with typographic symbols. */
 export function unit(text) {
-  return text.replace("m/s2", "m/s²");
+  return text.replace("m/s2", "m/s²").replace("W/m2", "W/m²").replace("degC", "°C").replace(/^deg$/, "°").replace(/^um$/, "µm").replace("microstrain", "µm/m");
 }
 
 /** Returns the address of a structure's page, optionally with a parameter and a moment. */

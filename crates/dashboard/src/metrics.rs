@@ -1,5 +1,6 @@
 //! Metrics for Prometheus at `GET /metrics`.
 
+use crate::conditions::conditions;
 use crate::overview::overview;
 use crate::sensors::sensor_states;
 use crate::server::now_ns;
@@ -44,6 +45,8 @@ struct Metrics {
     fault: Gauges,
     offset: Gauges,
     node_distance: Gauges,
+    condition: Gauges,
+    condition_age: Gauges,
     time: Gauges,
     age: Gauges,
     lag: Gauges,
@@ -170,6 +173,16 @@ impl Metrics {
             "node_distance",
             "Distance of a distributed node from the others",
             &self.node_distance,
+        );
+        gauge(
+            "condition_value",
+            "Latest value of a condition, such as a temperature, in its unit",
+            &self.condition,
+        );
+        gauge(
+            "condition_age_seconds",
+            "Time since the latest value of a condition was measured",
+            &self.condition_age,
         );
         gauge(
             "measured_time_seconds",
@@ -348,6 +361,17 @@ impl Metrics {
                 display.distance.unwrap_or(f64::NAN),
             );
         }
+        for condition in conditions(store) {
+            let labels = vec![
+                structure(),
+                ("condition", condition.name.to_owned()),
+                ("unit", condition.unit.to_owned()),
+            ];
+            if let (Some(value), Some(age_s)) = (condition.value, condition.age_s) {
+                self.condition.get_or_create(&labels).set(value);
+                self.condition_age.get_or_create(&labels).set(age_s);
+            }
+        }
         let whole = vec![structure()];
         let overview = overview(store);
         if let Some(time_s) = overview.time_s {
@@ -400,7 +424,7 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{alert, demo, fit, hear, undecided};
+    use crate::testing::{air, alert, at, demo, demo_with_air, fit, hear, undecided};
     use spandrel_listener::Input;
 
     #[test]
@@ -426,6 +450,22 @@ mod tests {
             assert!(text.lines().any(|found| found == line), "{line}\n{text}");
         }
         assert!(text.ends_with("# EOF\n"), "{text}");
+    }
+
+    #[test]
+    fn a_condition_has_its_value_unit_and_age() {
+        let mut store = demo_with_air();
+        store.handle(at(5.0));
+        store.handle(Input::Condition(air(5, 21.5)));
+        store.handle(at(7.5));
+        let text = metrics(std::iter::once(&store)).unwrap();
+        let labels = "{structure=\"demo\",condition=\"air\",unit=\"degC\"}";
+        for line in [
+            format!("spandrel_condition_value{labels} 21.5"),
+            format!("spandrel_condition_age_seconds{labels} 2.5"),
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+        }
     }
 
     #[test]

@@ -36,6 +36,7 @@ const NEEDS: Needs = Needs {
         T::Noise,
         T::Outliers,
         T::SensorHealth,
+        T::Conditions,
         T::Classes,
         T::Nodes,
         T::Fit,

@@ -1,5 +1,6 @@
 //! Views of a structure for the page and for scripts.
 
+use crate::conditions::{ConditionView, conditions};
 use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
@@ -23,6 +24,7 @@ pub(crate) struct Standing<'s> {
     outliers: &'s BTreeMap<Name, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
     nodes: &'s BTreeMap<Name, NodeDisplay>,
+    conditions: Vec<ConditionView<'s>>,
     /// Verdict on the fit, with its explanation.
     fit: Option<FitView<'s>>,
     training: bool,
@@ -94,6 +96,7 @@ impl<'s> Standing<'s> {
             outliers: &store.state.outliers,
             classes: store.state.classes.as_ref(),
             nodes: &store.state.nodes,
+            conditions: conditions(store).collect(),
             fit: store.state.fit.as_ref().map(|display| FitView {
                 display,
                 words: display.words(),

@@ -107,6 +107,7 @@ mod tests {
             structure: "spandrel/tower".to_owned(),
             number,
             points,
+            conditions: Vec::new(),
             buckets,
             happened: Vec::new(),
         }

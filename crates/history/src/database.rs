@@ -41,6 +41,8 @@ pub(crate) struct Database {
     set_aside: Arc<AtomicU64>,
     /// Corrupt files under their new names, until they are reported.
     corrupt: Arc<std::sync::Mutex<Vec<CorruptFile>>>,
+    /// Number of values of conditions that were not newer than those in the database.
+    repeated: Arc<AtomicU64>,
 }
 
 impl Database {
@@ -56,6 +58,7 @@ impl Database {
             numbers: Arc::default(),
             set_aside: Arc::default(),
             corrupt: Arc::default(),
+            repeated: Arc::default(),
         })
     }
 
@@ -128,8 +131,16 @@ impl Database {
             Ok((found, set_aside))
         };
         match written.await {
-            Ok((found, SetAside { rows, reason })) => {
+            Ok((
+                found,
+                SetAside {
+                    rows,
+                    repeated,
+                    reason,
+                },
+            )) => {
                 numbers.extend(found);
+                self.repeated.fetch_add(repeated, Ordering::Relaxed);
                 let before = self.set_aside.fetch_add(rows, Ordering::Relaxed);
                 let total = before + rows;
                 // A permanently rejected value can recur every second. It is therefore logged only
@@ -167,6 +178,11 @@ impl Database {
     /// Returns the number of rows that the database rejected permanently.
     pub(crate) fn set_aside(&self) -> u64 {
         self.set_aside.load(Ordering::Relaxed)
+    }
+
+    /// Returns the number of values of conditions that were not newer than those in the database.
+    pub(crate) fn repeated(&self) -> u64 {
+        self.repeated.load(Ordering::Relaxed)
     }
 
     /// Reads one quantity of a structure (`root/structure`) over a time span.

@@ -32,6 +32,7 @@ const NEEDS: Needs = Needs {
         T::Losses,
         T::Noise,
         T::Outliers,
+        T::Conditions,
         T::Classes,
         T::Nodes,
         T::Alerts,
@@ -295,7 +296,9 @@ impl HistoryService {
     }
 
     fn take(&mut self) {
+        let now_ns = self.clock.now_ns();
         for source in &mut self.sources {
+            source.collector.set_now(now_ns);
             let inputs = source.listener.gather().into_iter();
             inputs.for_each(|input| source.collector.handle(input));
         }
@@ -323,6 +326,7 @@ impl HistoryService {
             ("dropped-values", points),
             ("dropped-rows", rows),
             ("rows-set-aside", self.database.set_aside()),
+            ("repeated-conditions", self.database.repeated()),
         ];
         let [failures, files] = self.waiting.trouble().drops();
         let common: Vec<(&str, u64)> = common.into_iter().chain([failures, files]).collect();
@@ -398,6 +402,8 @@ impl Source {
         if self.collector.unknown > 0 {
             sum.insert("unknown-quantity".to_owned(), self.collector.unknown);
         }
+        let rejected = self.collector.rejected.iter();
+        sum.extend(rejected.map(|(reason, count)| (format!("{reason}-conditions"), *count)));
         sum
     }
 }
@@ -491,7 +497,7 @@ async fn answer_spans(
         };
         let Some(series) = Series::asked(&query.kind, &name) else {
             question
-                .reject("kind must be parameter, noise, outlier, class or node")
+                .reject("kind must be parameter, loss, noise, outlier, class, node or condition")
                 .await;
             continue;
         };
@@ -512,9 +518,12 @@ async fn answer_spans(
 fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
     match series.kind {
         Kind::Class => true,
-        Kind::Parameter | Kind::Loss | Kind::Noise | Kind::Outlier | Kind::Node => {
-            named.contains(series)
-        }
+        Kind::Parameter
+        | Kind::Loss
+        | Kind::Noise
+        | Kind::Outlier
+        | Kind::Node
+        | Kind::Condition => named.contains(series),
     }
 }
 

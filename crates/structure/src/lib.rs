@@ -26,6 +26,7 @@
 //! - [`Node`], [`Channel`], [`Quantity`]: the sensors
 //! - [`Parameter`], [`Excitation`], [`NoiseLevel`]: uncertain properties, excitation, and their
 //!   levels
+//! - [`Condition`]: slow quantities, such as temperatures, that no model contains
 //! - [`EstimatedResponse`]: requested displacements and velocities that no sensor measures
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
@@ -43,6 +44,7 @@
 //! For other systems, implement the traits of `spandrel-filter` directly.
 
 mod alert_rule;
+mod condition;
 mod error;
 mod estimated_response;
 mod excitation;
@@ -96,6 +98,7 @@ pub use check::{
 };
 pub use classes::StructureClasses;
 pub use common_motion::CommonMotion;
+pub use condition::Condition;
 pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
 pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;

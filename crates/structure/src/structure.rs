@@ -2,6 +2,7 @@
 
 use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
+use crate::condition::Condition;
 use crate::error::StructureError;
 use crate::estimated_response::EstimatedResponse;
 use crate::excitation::{Action, Excitation};
@@ -59,6 +60,7 @@ pub struct Structure {
     pub(crate) alert_rules: Vec<AlertRule>,
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
+    pub(crate) conditions: Vec<Condition>,
     pub(crate) excitation_errors: ExcitationErrors,
 }
 
@@ -134,13 +136,13 @@ impl Structure {
 
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
-    /// It is the file without its comments, alert rules, simulation, record table, description and
-    /// place, followed by the matrices that it names.
+    /// It is the file without its comments, alert rules, conditions, simulation, record table,
+    /// description and place, followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
         let mut table: toml::Table = self.text.parse().unwrap_or_default();
-        for of_others in ["alert", "simulation", "record"] {
+        for of_others in ["alert", "condition", "simulation", "record"] {
             table.remove(of_others);
         }
         if let Some(structure) = table
@@ -379,6 +381,12 @@ impl Structure {
     #[must_use]
     pub fn simulation(&self) -> &SimulationPlan {
         &self.simulation
+    }
+
+    /// Returns the conditions that instruments measure beside the motion.
+    #[must_use]
+    pub fn conditions(&self) -> &[Condition] {
+        &self.conditions
     }
 
     /// Returns the channel of each observation row.

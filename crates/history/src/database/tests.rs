@@ -1,8 +1,8 @@
 use super::*;
 use crate::batch::Collector;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, LossDisplay,
-    Message as _, ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, ConditionDisplay, CredibleInterval, Event,
+    EventKind, LossDisplay, Message as _, ParameterDisplay,
 };
 use spandrel_listener::Input;
 use spandrel_structure::Structure;
@@ -174,6 +174,121 @@ async fn keeps_and_answers(database: &Database) {
     assert_eq!(nothing.unwrap().kept_from_s, None);
 }
 
+/// Returns a value of the temperature of the air (°C) after `minute` minutes.
+fn air(minute: i64, value: f64) -> ConditionDisplay {
+    ConditionDisplay {
+        structure: name("demo"),
+        name: name("air"),
+        time_ns: START_NS + minute * 60 * SECOND_NS,
+        value,
+        unit: "degC".to_owned(),
+        interval_s: None,
+        instrument: None,
+    }
+}
+
+/// Returns a collector of the demo with an air temperature from -40 to 60 °C.
+fn collector_of_air() -> Collector {
+    let text = include_str!("../../../../docs/examples/demo.toml");
+    let text =
+        format!("{text}\n[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\n");
+    let structure = Structure::parse(&text, Path::new("demo.toml")).unwrap();
+    Collector::new(&structure, "spandrel")
+}
+
+/// Writes values of a condition, some of them again by a second run of the service.
+async fn keeps_a_repeated_condition_once(database: &Database) {
+    for (life, minutes) in [("first", 0..90), ("second", 60..120)] {
+        let mut collector = collector_of_air();
+        let mut batches = Vec::new();
+        for (number, minute) in (1..).zip(minutes) {
+            collector.handle(Input::Condition(air(minute, minute as f64)));
+            batches.extend(collector.take(number).map(Arc::new));
+        }
+        database.write(life, &batches).await.unwrap();
+    }
+    assert_eq!(database.repeated(), 30);
+    let series = Series {
+        kind: Kind::Condition,
+        name: "air".to_owned(),
+    };
+    let keep = Keep {
+        display_s: Some(0),
+        minute_s: Some(0),
+        ..Keep::default()
+    };
+    let read = |query: SpanQuery| {
+        let series = series.clone();
+        async move {
+            let demo = name("demo");
+            let read = database.span(STRUCTURE, &demo, &series, &query);
+            read.await.unwrap()
+        }
+    };
+    let shown = read(SpanQuery::default()).await;
+    assert_eq!(
+        (shown.kind.as_str(), shown.rows.mean.len()),
+        ("condition", 120)
+    );
+    assert_eq!(shown.rows.mean[119], 119.0);
+    let later_ns = START_NS + 86_400 * SECOND_NS;
+    database.prune(STRUCTURE, later_ns, &keep).await.unwrap();
+    let hours = read(SpanQuery::default()).await;
+    assert_eq!(hours.resolution_s, Some(3_600));
+    assert_eq!(hours.rows.count.iter().sum::<u64>(), 120);
+    let sum: f64 = hours
+        .rows
+        .mean
+        .iter()
+        .zip(&hours.rows.count)
+        .map(|(mean, count)| mean * *count as f64)
+        .sum();
+    assert!(
+        (sum - f64::from((0..120).sum::<i32>())).abs() < 1e-6,
+        "{sum}"
+    );
+}
+
+#[tokio::test]
+async fn a_condition_that_a_source_repeats_is_kept_once() {
+    let folder = tempfile::tempdir().unwrap();
+    keeps_a_repeated_condition_once(&file(folder.path()).await).await;
+}
+
+#[test]
+fn a_condition_that_contradicts_the_structure_file_is_rejected_and_counted() {
+    let mut collector = collector_of_air();
+    collector.set_now(START_NS);
+    let wrong_unit = ConditionDisplay {
+        unit: "K".to_owned(),
+        ..air(0, 20.0)
+    };
+    let undeclared = ConditionDisplay {
+        name: name("wind"),
+        ..air(0, 20.0)
+    };
+    for wrong in [wrong_unit, air(0, 61.0), air(2, 20.0), undeclared] {
+        collector.handle(Input::Condition(wrong));
+    }
+    assert!(collector.take(1).is_none());
+    let rejected: Vec<_> = collector
+        .rejected
+        .iter()
+        .map(|(reason, count)| (*reason, *count))
+        .collect();
+    assert_eq!(
+        rejected,
+        [
+            ("ahead-of-clock", 1),
+            ("out-of-range", 1),
+            ("wrong-unit", 1)
+        ]
+    );
+    assert_eq!(collector.unknown, 1);
+    collector.handle(Input::Condition(air(0, 20.0)));
+    assert_eq!(collector.take(1).unwrap().conditions.len(), 1);
+}
+
 fn alert(seconds: i64, state: AlertState) -> AlertMessage {
     AlertMessage {
         structure: name("demo"),
@@ -336,6 +451,7 @@ async fn postgresql_stores_and_returns_the_history_and_may_be_absent() {
     let database = Database::new(&Address::Postgres(server.url())).unwrap();
     keeps_and_answers(&database).await;
     keeps_what_happened(&database).await;
+    keeps_a_repeated_condition_once(&database).await;
     server.stop();
     let mut collector = Collector::new(&demo(), "spandrel");
     collector.handle(Input::Alert(alert(10, AlertState::Raised)));
@@ -585,6 +701,7 @@ async fn month_of_fifty_parameters_needs_less_than_one_gigabyte() {
             structure: STRUCTURE.to_owned(),
             number: minute + 1,
             points: Vec::new(),
+            conditions: Vec::new(),
             buckets: std::collections::BTreeMap::new(),
             happened: Vec::new(),
         };

@@ -3,6 +3,7 @@
 //! There is one line per change of an alert, and one line per second and structure. Each
 //! distributed node has a line from [`plain_line`](super::nodes::plain_line).
 
+use super::conditions::condition_texts;
 use super::heard::Origin;
 use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
@@ -74,8 +75,13 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         .classes
         .as_ref()
         .map(|classes| format!("; class {}", leading_class(classes)));
+    let conditions: Vec<String> = condition_texts(structure).collect();
+    let conditions = match conditions.is_empty() {
+        true => String::new(),
+        false => format!("; {}", conditions.join(", ")),
+    };
     format!(
-        "{}{} {name} {}{}{}{}{}{}",
+        "{}{} {name} {}{}{}{}{conditions}{}",
         time(time_ns),
         match Origin::of(structure) {
             Origin::Measured => "",

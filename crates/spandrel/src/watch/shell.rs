@@ -22,6 +22,7 @@ const NEEDS: Needs = Needs {
         T::Parameters,
         T::Losses,
         T::Noise,
+        T::Conditions,
         T::Classes,
         T::Fit,
         T::Monitoring,

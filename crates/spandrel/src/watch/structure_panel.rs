@@ -1,5 +1,6 @@
 //! One structure on the screen: its parameters, noise levels and services.
 
+use super::conditions::condition_spans;
 use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, Origin, ParameterHeard};
 use super::natural_name::in_order;
@@ -337,6 +338,9 @@ fn footer(
         let levels = in_order(&structure.noise).into_iter();
         let levels = levels.map(|(_, level)| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
+    }
+    if !structure.conditions.is_empty() {
+        lines.extend(flow("conditions   ", condition_spans(structure), width));
     }
     if let Some(monitoring) = structure.monitoring() {
         let style = match monitoring.state {

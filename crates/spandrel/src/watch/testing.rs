@@ -2,9 +2,9 @@
 
 use super::heard::Heard;
 use spandrel_bus::{
-    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header,
-    LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace,
-    ParameterDisplay, Progress, Service, Status,
+    AlertMessage, AlertState, ClassPlausibility, ConditionDisplay, CredibleInterval, Event,
+    EventKind, Header, LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay,
+    Pace, ParameterDisplay, Progress, Service, Status,
 };
 use spandrel_listener::{Input, Instance};
 use std::collections::{BTreeMap, BTreeSet};
@@ -115,6 +115,19 @@ pub fn node(node: &str, second: i64, state: NodeHealth) -> NodeDisplay {
         bytes_sent: 100 * second as u64,
         refused: BTreeMap::new(),
         restarts: 0,
+    }
+}
+
+/// Returns a condition of `tower` in °C that is expected every ten minutes.
+pub fn condition(condition: &str, value: f64) -> ConditionDisplay {
+    ConditionDisplay {
+        structure: name("tower"),
+        name: name(condition),
+        time_ns: TIME_NS,
+        value,
+        unit: "degC".to_owned(),
+        interval_s: Some(600.0),
+        instrument: None,
     }
 }
 
