@@ -40,6 +40,10 @@ const LONGEST_LONE_HOLE_NS: i64 = 10_000_000_000;
 /// nothing.
 const GONE_BACK_NS: i64 = 500_000_000;
 
+/// Number of deadlines for which the other nodes must deliver nothing. The shell sets one every
+/// 50 ms. A source that catches up delivers minutes of samples between two of them.
+const DEADLINES_OF_SILENCE: u64 = 20;
+
 /// An input of the alignment; `node` is an index into the layout.
 #[derive(Clone, Debug)]
 pub enum AlignmentInput {
@@ -111,6 +115,8 @@ pub struct Alignment {
     epoch: u64,
     run: Option<Run>,
     deadline_ns: i64,
+    /// Number of deadlines so far.
+    deadlines: u64,
     ended: bool,
     /// Number of blocks that did not belong to closed frames.
     in_time: u64,
@@ -142,6 +148,7 @@ impl Alignment {
             epoch,
             run: None,
             deadline_ns: i64::MIN,
+            deadlines: 0,
             ended: false,
             in_time: 0,
             counts: Counts::default(),
@@ -258,7 +265,8 @@ impl Alignment {
                 }
             }
             AlignmentInput::Deadline { time_ns } => {
-                self.deadline_ns = self.deadline_ns.max(time_ns)
+                self.deadlines += 1;
+                self.deadline_ns = self.deadline_ns.max(time_ns);
             }
         }
         self.close_frames(blocks);
@@ -315,13 +323,15 @@ impl Alignment {
         let queue = &mut self.queues[node];
         if !queue.is_parked() {
             queue.in_time_when_parked = self.in_time;
+            queue.deadlines_when_parked = self.deadlines;
         }
         // A live node that has fallen silent must not hold back the others.
         let is_live = block.pace == Pace::Live;
         queue.park(block);
         let others_are_silent = is_live
             && queue.in_time_when_parked == self.in_time
-            && queue.parked_ns() >= GONE_BACK_NS;
+            && queue.parked_ns() >= GONE_BACK_NS
+            && self.deadlines - queue.deadlines_when_parked >= DEADLINES_OF_SILENCE;
         let expected = |queue: &&NodeQueue| queue.presence == Presence::Expected;
         let mut expected = self.queues.iter().filter(expected);
         if others_are_silent || expected.all(NodeQueue::is_parked) {

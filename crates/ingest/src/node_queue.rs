@@ -52,6 +52,8 @@ pub(crate) struct NodeQueue {
     parked: VecDeque<SampleBlock>,
     /// Number of blocks in time of all nodes when the first parked block arrived.
     pub(crate) in_time_when_parked: u64,
+    /// Number of deadlines when the first parked block arrived.
+    pub(crate) deadlines_when_parked: u64,
     /// What has become of the samples of this node.
     pub(crate) counts: NodeCounts,
     /// Epoch and sequence number of the first sample that the recording does not contain. Samples
@@ -75,6 +77,7 @@ impl NodeQueue {
             epoch: None,
             parked: VecDeque::new(),
             in_time_when_parked: 0,
+            deadlines_when_parked: 0,
             counts: NodeCounts::default(),
         }
     }
