@@ -175,10 +175,12 @@ impl Place {
     /// Returns the error of reading a table. Damaged compressed data have no line.
     fn unreadable_table(&self, error: RecordError) -> RecordError {
         match error {
-            RecordError::Read { source, .. } if self.archive.is_some() => match source.into_kind() {
-                csv::ErrorKind::Io(error) => self.unreadable(error),
-                kind => self.unreadable(io::Error::other(format!("{kind:?}"))),
-            },
+            RecordError::Read { source, .. } if self.archive.is_some() => {
+                match source.into_kind() {
+                    csv::ErrorKind::Io(error) => self.unreadable(error),
+                    kind => self.unreadable(io::Error::other(format!("{kind:?}"))),
+                }
+            }
             error => error,
         }
     }
