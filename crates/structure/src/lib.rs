@@ -31,6 +31,7 @@
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
+//! - [`text_encoding`]: decodes the text of a file, and names an encoding other than UTF-8
 //!
 //! Logic:
 //!
@@ -69,6 +70,7 @@ mod mesh;
 mod section;
 mod shear_building;
 mod skeleton;
+pub mod text_encoding;
 mod tower;
 mod truss;
 
