@@ -7,6 +7,7 @@ use spandrel_bus::{
 use spandrel_listener::Input;
 use spandrel_structure::Structure;
 use std::path::Path;
+use std::time::Duration;
 
 const START_NS: i64 = 1_763_730_000 * SECOND_NS;
 const STRUCTURE: &str = "spandrel/demo";
@@ -647,8 +648,11 @@ async fn a_file_that_disappears_is_noticed_and_its_folder_is_not_created() {
         points: 20_000,
         ..SpanQuery::default()
     };
-    let all = database.span(STRUCTURE, &name("demo"), &storey_2(), &query);
-    assert_eq!(all.await.unwrap().rows.time_s.len(), 6_000);
+    let all = database
+        .span(STRUCTURE, &name("demo"), &storey_2(), &query)
+        .await
+        .unwrap();
+    assert_eq!(all.rows.time_s.len(), 6_000);
 }
 
 /// Regression: "database is locked" when old rows were deleted during a write.
