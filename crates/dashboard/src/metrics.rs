@@ -458,7 +458,7 @@ mod tests {
         store.handle(at(5.0));
         store.handle(Input::Condition(air(5, 21.5)));
         store.handle(at(7.5));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
         let labels = "{structure=\"demo\",condition=\"air\",unit=\"degC\"}";
         for line in [
             format!("spandrel_condition_value{labels} 21.5"),
@@ -503,9 +503,9 @@ mod tests {
             load: None,
             frames_behind: None,
             fit: None,
-            undecided: std::collections::BTreeMap::new(),
-            instruments: std::collections::BTreeMap::new(),
-            clocks: std::collections::BTreeMap::new(),
+            undecided: BTreeMap::new(),
+            instruments: BTreeMap::new(),
+            clocks: BTreeMap::new(),
             maintenance: Vec::new(),
             state: None,
             done: 1,

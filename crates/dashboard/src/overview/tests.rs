@@ -478,7 +478,9 @@ fn a_lag_is_a_metric_of_samples_that_come_as_they_are_measured() {
         let mut store = demo();
         store.handle(status(Service::Ingest, CLOCK_NS, Some(pace)));
         hear(&mut store, "storey-1", CLOCK_NS, 1.0, 0.001);
-        let text = crate::metrics::metrics(std::iter::once(&store)).unwrap();
+        let text =
+            crate::metrics::metrics(std::iter::once(&store), &std::collections::BTreeMap::new())
+                .unwrap();
         assert_eq!(
             text.contains("spandrel_lag_seconds{"),
             is_told,
