@@ -204,7 +204,7 @@ mod tests {
         assert!(budget.unpack(&[1; 5][..]).is_err());
         let budget = UnpackingBudget::in_memory();
         budget.count_packed(1 << 40);
-        let mut reader = budget.unpacked(std::io::repeat(0).take(u64::MAX));
+        let mut reader = budget.unpacked(io::repeat(0).take(u64::MAX));
         let mut piece = vec![0; 1 << 28];
         let error = (0..17)
             .find_map(|_| reader.read_exact(&mut piece).err())
@@ -219,9 +219,9 @@ mod tests {
     #[test]
     fn ratio_counts_beyond_what_every_file_may_unpack() {
         let budget = UnpackingBudget::streamed();
-        let mut packed = budget.packed(std::io::repeat(1));
+        let mut packed = budget.packed(io::repeat(1));
         packed.read_exact(&mut [0; 1000]).unwrap();
-        let mut unpacked = budget.unpacked(std::io::repeat(0));
+        let mut unpacked = budget.unpacked(io::repeat(0));
         let mut piece = vec![0; FREE_BYTES as usize];
         unpacked.read_exact(&mut piece).unwrap();
         let told = unpacked.read_exact(&mut [0]).unwrap_err();
@@ -236,8 +236,8 @@ mod tests {
     #[test]
     fn data_of_a_usual_ratio_have_any_length() {
         let budget = UnpackingBudget::streamed();
-        let mut packed = budget.packed(std::io::repeat(1));
-        let mut unpacked = budget.unpacked(std::io::repeat(0));
+        let mut packed = budget.packed(io::repeat(1));
+        let mut unpacked = budget.unpacked(io::repeat(0));
         for _ in 0..20 {
             packed.read_exact(&mut vec![0; 1 << 20]).unwrap();
             unpacked.read_exact(&mut vec![0; 50 << 20]).unwrap();
