@@ -43,6 +43,18 @@ async fn event(events: &Subscription<Event>, kind: EventKind) -> Event {
     .await
 }
 
+/// Waits for events of all these kinds, in any order.
+async fn all_events(events: &Subscription<Event>, kinds: &[EventKind]) {
+    let mut missing = kinds.to_vec();
+    within(&format!("events {kinds:?}"), async {
+        while !missing.is_empty() {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            missing.retain(|kind| *kind != event.kind);
+        }
+    })
+    .await;
+}
+
 /// Waits until the history has values of a parameter after this time (s).
 async fn stored_until(bus: &Bus, site: &Site, time_s: f64) -> HistorySpan {
     let key = site.keys().history(&Name::new("storey-2").unwrap());
@@ -122,8 +134,11 @@ async fn a_state_folder_that_disappears_is_noticed_and_used_again_when_it_is_bac
         let away = site.folder().join("away");
         std::fs::rename(&state, &away).unwrap();
         // No service has anything to do meanwhile.
-        event(&events, EventKind::StateLost).await;
-        event(&events, EventKind::HistoryUnavailable).await;
+        all_events(
+            &events,
+            &[EventKind::StateLost, EventKind::HistoryUnavailable],
+        )
+        .await;
         for service in [Service::Identify, Service::Alert] {
             drops.expect(service, "checkpoints-not-kept", 1).await;
         }
@@ -138,8 +153,7 @@ async fn a_state_folder_that_disappears_is_noticed_and_used_again_when_it_is_bac
             Returns::AsItWas => std::fs::rename(&away, &state).unwrap(),
             Returns::Empty => std::fs::create_dir(&state).unwrap(),
         }
-        event(&events, EventKind::StateBack).await;
-        event(&events, EventKind::HistoryBack).await;
+        all_events(&events, &[EventKind::StateBack, EventKind::HistoryBack]).await;
         put_slowly(&mut sensors, 4000..6000).await;
         drops.when_done(Service::Alert, 5800).await;
         let stored = stored_until(&bus, &site, 55.0).await;
