@@ -199,6 +199,17 @@ impl SensorCheck {
         changes
     }
 
+    /// Returns the channels that are in doubt or faulty, as indices in a frame.
+    pub fn suspected(&self) -> impl Iterator<Item = usize> {
+        let health = self.state.health.iter().enumerate();
+        let is_suspected = |health: ChannelHealth| {
+            health.soundness == Soundness::Faulty || health.probability > IN_DOUBT
+        };
+        health
+            .filter(move |(_, health)| health.is_some_and(is_suspected))
+            .map(|(channel, _)| channel)
+    }
+
     /// Returns `true` if a channel is suspected that does not count as faulty yet.
     ///
     /// This is also the case if a channel measures a motion that no other channel follows.

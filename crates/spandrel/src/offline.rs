@@ -80,9 +80,10 @@ pub fn identify(
             .take_effective_share(particles.effective_share());
     }
     chain.collector.take_decided(&chain.watch);
+    let check = chain.identification.sensor_check();
     chain
         .collector
-        .take_observed(chain.identification.sensor_check().observed());
+        .take_sensors(check.observed(), check.suspected().collect());
     Ok(chain.collector)
 }
 

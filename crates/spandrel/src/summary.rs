@@ -173,6 +173,8 @@ pub struct Collector {
     effective_share: Option<f64>,
     /// Relation of each channel to the others.
     observed: Vec<Option<ObservedRelation>>,
+    /// Channels that are in doubt or faulty at the end, as indices in a frame.
+    suspected: Vec<usize>,
     baseline: Option<Baseline>,
 }
 
@@ -201,6 +203,7 @@ impl Collector {
             samples: None,
             effective_share: None,
             observed: Vec::new(),
+            suspected: Vec::new(),
             baseline: None,
         }
     }
@@ -218,9 +221,16 @@ impl Collector {
         self.effective_share = share;
     }
 
-    /// Records the mean relation of each channel to the others.
-    pub fn take_observed(&mut self, observed: Vec<Option<ObservedRelation>>) {
+    /// Records the mean relation of each channel to the others, and the channels that are in doubt or
+    /// faulty at the end (indices in a frame).
+    pub fn take_sensors(&mut self, observed: Vec<Option<ObservedRelation>>, suspected: Vec<usize>) {
         self.observed = observed;
+        self.suspected = suspected;
+    }
+
+    /// Returns the channels that are in doubt or faulty at the end, as indices in a frame.
+    pub fn suspected(&self) -> &[usize] {
+        &self.suspected
     }
 
     /// Returns the mean relation of each channel to the others. `None` for a channel that could not

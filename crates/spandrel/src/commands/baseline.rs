@@ -64,6 +64,17 @@ pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
             skip_s: arguments.skip,
         };
         records.push(RecordSummary::from_estimates(learnt.frames).ok_or_else(nothing)?);
+        for channel in learnt.suspected {
+            let _ = writeln!(
+                left_out,
+                "{}: the sensor {} is in doubt or faulty at the end, so nothing is learnt about it",
+                path.display(),
+                structure
+                    .channels()
+                    .nth(channel)
+                    .map_or("", |one| one.name())
+            );
+        }
         observed.push(learnt.observed);
     }
     let names: Vec<&str> = structure
@@ -86,8 +97,10 @@ struct Learnt {
     frames: Vec<Vec<(f64, f64)>>,
     /// Number of frames that contradict the model, which are not among them.
     contradicted: usize,
-    /// Relation of each channel to the others.
+    /// Relation of each sound channel to the others.
     observed: Vec<Option<ObservedRelation>>,
+    /// Channels that are in doubt or faulty at the end, as indices in a frame.
+    suspected: Vec<usize>,
 }
 
 /// Identifies a recording, without the channel `left_out` if there is one.
@@ -125,10 +138,17 @@ fn learn(
             Ok(())
         },
     )?;
+    // The relation of a faulty sensor would later make a sound one faulty.
+    let suspected = collected.suspected().to_vec();
+    let of_sound = |(channel, relation): (usize, &Option<ObservedRelation>)| {
+        relation.filter(|_| !suspected.contains(&channel))
+    };
+    let observed = collected.observed().iter().enumerate();
     Ok(Learnt {
         frames,
         contradicted,
-        observed: collected.observed().to_vec(),
+        observed: observed.map(of_sound).collect(),
+        suspected,
     })
 }
 
@@ -234,4 +254,42 @@ fn claims(structure: &Structure, baseline: &Baseline, index: usize) -> Vec<Strin
         .filter(|rule| rule.parameters.contains(&index))
         .map(of_rule)
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TABLE: &str = include_str!("../../../../docs/examples/shake-table-stiff.toml");
+
+    /// Channel of the second floor.
+    const FLOOR_2: usize = 2;
+
+    /// Learns from a recording of the simulated frame, whose second floor has this scale.
+    fn learnt(scale: f64) -> Learnt {
+        let structure = Structure::parse(TABLE, Path::new("table.toml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("record.csv");
+        let mut text = "time_s,ground_mps2,floor1_mps2,floor2_mps2,floor3_mps2\n".to_owned();
+        for (number, frame) in structure.simulator(3).take(60 * 120).enumerate() {
+            let mut values = frame.values.clone();
+            values[FLOOR_2] *= scale;
+            let time_s = number as f64 / 120.0;
+            let values: Vec<String> = values.iter().map(f64::to_string).collect();
+            text += &format!("{time_s:.6},{}\n", values.join(","));
+        }
+        std::fs::write(&path, text).unwrap();
+        learn(&structure, &path, 0, None).unwrap()
+    }
+
+    #[test]
+    fn sensors_that_are_not_sound_are_named_and_teach_nothing() {
+        let sound = learnt(1.0);
+        assert_eq!(sound.suspected, []);
+        assert!(sound.observed.iter().all(Option::is_some));
+        let dead = learnt(0.0);
+        assert_eq!(dead.suspected, [FLOOR_2]);
+        let known: Vec<bool> = dead.observed.iter().map(Option::is_some).collect();
+        assert_eq!(known, [true, true, false, true]);
+    }
 }
