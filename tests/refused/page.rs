@@ -117,7 +117,7 @@ fn requests(table: &mut Table, page: &Page) {
     let long = format!("{{\"who\":\"{}\"}}", "a".repeat(101));
     let wide = format!("X-Wide: {}\r\n", "a".repeat(600_000));
     let from_elsewhere = format!("{json}Origin: https://example.org\r\n");
-    let cases: [Asked<'_>; 22] = [
+    let cases: [Asked<'_>; 23] = [
         (
             "a path that is not there",
             ["GET", "/api/nothing", "", ""],

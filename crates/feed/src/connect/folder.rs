@@ -40,14 +40,6 @@ struct Memory {
     files: BTreeMap<String, Done>,
 }
 
-/// A file with its channels.
-struct ReadFile {
-    name: String,
-    done: Done,
-    channels: Vec<RecordedChannel>,
-    start_ns: i64,
-}
-
 /// Reads recordings until the feed stops.
 pub(crate) async fn read(plan: DropFolder, since_ns: Option<i64>, outlet: Outlet) {
     let mut retry = Retry::new();
@@ -100,45 +92,47 @@ pub(crate) async fn read(plan: DropFolder, since_ns: Option<i64>, outlet: Outlet
 }
 
 /// Reads files in the order of their times. Returns `false` if the feed stops.
+///
+/// Reads each of several files twice, first for its times and then for its samples. A folder can
+/// contain more samples than fit into memory.
 async fn read_all(
     plan: &DropFolder,
     complete: Vec<(String, Done)>,
     memory: &mut Memory,
     outlet: &Outlet,
 ) -> bool {
-    let mut read_files = Vec::new();
-    for (name, mut done) in complete {
-        let (path, options) = (plan.path.join(&name), plan.options.clone());
-        let read = tokio::task::spawn_blocking(move || read_file(&path, &options)).await;
-        // Reading does not panic. If it did, the panic hook has already reported the panic.
-        let read = read.unwrap_or_else(|_| Err(format!("{name}: cannot be read")));
-        match read {
-            Ok((channels, start_ns, end_ns)) => {
-                done.end_ns = end_ns;
-                read_files.push(ReadFile {
-                    name,
-                    done,
-                    channels,
-                    start_ns,
-                });
-            }
+    let is_only = complete.len() == 1;
+    let mut ordered = Vec::new();
+    for (name, done) in complete {
+        if is_only {
+            ordered.push((0, name, done));
+            continue;
+        }
+        match read_apart(plan, &name).await {
+            Ok((_, start_ns, _)) => ordered.push((start_ns, name, done)),
             Err(why) => {
-                done.end_ns = i64::MIN;
-                memory.files.insert(name, done);
-                if !outlet.malformed(why).await {
+                if !refuse(why, name, done, memory, outlet).await {
                     return false;
                 }
             }
         }
     }
-    read_files.sort_by(|a, b| (a.start_ns, &a.name).cmp(&(b.start_ns, &b.name)));
-    for file in read_files {
-        for packet in packets(&file.channels) {
+    ordered.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
+    for (_, name, mut done) in ordered {
+        let (channels, _, end_ns) = match read_apart(plan, &name).await {
+            Ok(read) => read,
+            Err(why) => match refuse(why, name, done, memory, outlet).await {
+                true => continue,
+                false => return false,
+            },
+        };
+        for packet in packets(&channels) {
             if !outlet.packets(vec![packet]).await {
                 return false;
             }
         }
-        memory.files.insert(file.name, file.done);
+        done.end_ns = end_ns;
+        memory.files.insert(name, done);
         if let Err(why) = memory.write(&plan.memory) {
             outlet.malformed(why).await;
         }
@@ -146,11 +140,32 @@ async fn read_all(
     true
 }
 
+/// Reads a file on a thread for blocking calls.
+async fn read_apart(plan: &DropFolder, name: &str) -> Result<TimedChannels, String> {
+    let (path, options) = (plan.path.join(name), plan.options.clone());
+    let read = tokio::task::spawn_blocking(move || read_file(&path, &options)).await;
+    // Reading does not panic. If it did, the panic hook has already reported the panic.
+    read.unwrap_or_else(|_| Err(format!("{name}: cannot be read")))
+}
+
+/// Remembers and reports a file that cannot be read. Returns `false` if the feed stops.
+async fn refuse(
+    why: String,
+    name: String,
+    mut done: Done,
+    memory: &mut Memory,
+    outlet: &Outlet,
+) -> bool {
+    done.end_ns = i64::MIN;
+    memory.files.insert(name, done);
+    outlet.malformed(why).await
+}
+
+/// The channels of a file, and the times of its first and last sample, ns.
+type TimedChannels = (Vec<RecordedChannel>, i64, i64);
+
 /// Returns the channels of a file, and the times of its first and last sample, ns.
-fn read_file(
-    path: &Path,
-    options: &ReadOptions,
-) -> Result<(Vec<RecordedChannel>, i64, i64), String> {
+fn read_file(path: &Path, options: &ReadOptions) -> Result<TimedChannels, String> {
     let file = RecordedFile::read(path, options).map_err(|error| with_causes(&error))?;
     let channels = file.channels().to_vec();
     let name = path.display();

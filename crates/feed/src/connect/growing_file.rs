@@ -196,11 +196,7 @@ impl Follower {
             .map(|name| name.to_string_lossy().into_owned());
         let name = name.unwrap_or_default();
         if self.last.is_none() {
-            let renamed = format!("{name}.");
-            let mut files = self.files(|other| other == name || other.starts_with(&renamed))?;
-            files.sort_by_key(|(path, metadata)| {
-                (*path == self.plan.path, modified_ns(metadata), path.clone())
-            });
+            let mut files = self.renamed_files(&name)?;
             if matches!(self.start, Start::Beginning) {
                 files.retain(|(path, _)| *path == self.plan.path);
             }
@@ -222,10 +218,32 @@ impl Follower {
             .open
             .as_ref()
             .is_some_and(|open| found.len() < open.position);
-        Ok(match is_same && !is_shorter {
-            true => VecDeque::new(),
-            false => [path.clone()].into(),
+        if is_same && !is_shorter {
+            return Ok(VecDeque::new());
+        }
+        // The file can have been renamed several times since it was opened.
+        let files = self.renamed_files(&name)?;
+        let is_last = |(_, metadata): &(PathBuf, Metadata)| {
+            let last = self.last.as_ref();
+            last.is_some_and(|(last, _)| *last == identity(metadata))
+        };
+        Ok(match files.iter().position(is_last) {
+            Some(index) if !is_same => {
+                let later = files.into_iter().skip(index + 1);
+                later.map(|(path, _)| path).collect()
+            }
+            _ => [path.clone()].into(),
         })
+    }
+
+    /// Returns the file and the files into which it was renamed, oldest first.
+    fn renamed_files(&self, name: &str) -> Result<Vec<(PathBuf, Metadata)>, String> {
+        let renamed = format!("{name}.");
+        let mut files = self.files(|other| other == name || other.starts_with(&renamed))?;
+        files.sort_by_key(|(path, metadata)| {
+            (*path == self.plan.path, modified_ns(metadata), path.clone())
+        });
+        Ok(files)
     }
 
     /// Drops the files that are not needed at the start.
@@ -314,9 +332,24 @@ impl OpenFile {
         format!("cannot read {}: {error}", self.path.display())
     }
 
-    /// Moves behind the last complete line.
+    /// Moves behind the last complete line. Reads only the end of the file, which may be large.
     fn go_to_end(&mut self) -> Result<(), String> {
-        while self.read()?.is_some() {}
+        let failed = |error| format!("cannot read {}: {error}", self.path.display());
+        let mut end = self.file.metadata().map_err(failed)?.len();
+        let mut bytes = vec![0; READ_BYTES];
+        while end > self.position {
+            let begin = end.saturating_sub(READ_BYTES as u64).max(self.position);
+            bytes.resize((end - begin) as usize, 0);
+            self.file.seek(SeekFrom::Start(begin)).map_err(failed)?;
+            self.file.read_exact(&mut bytes).map_err(failed)?;
+            if let Some(last) = bytes.iter().rposition(|byte| *byte == b'\n') {
+                self.position = begin + last as u64 + 1;
+                break;
+            }
+            end = begin;
+        }
+        let start = SeekFrom::Start(self.position);
+        self.file.seek(start).map_err(failed)?;
         Ok(())
     }
 
@@ -382,4 +415,70 @@ pub(super) fn modified_ns(metadata: &Metadata) -> i64 {
     since.map_or(0, |since| {
         i64::try_from(since.as_nanos()).unwrap_or(i64::MAX)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::time::SystemTime;
+
+    use super::*;
+
+    fn append(path: &Path, text: &str) {
+        let mut file = File::options()
+            .create(true)
+            .append(true)
+            .open(path)
+            .unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+    }
+
+    #[test]
+    fn end_of_a_large_file_is_behind_its_last_complete_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let header = "t,a\n";
+        append(&path, header);
+        append(&path, &"1,2\n".repeat(READ_BYTES));
+        append(&path, &"3".repeat(READ_BYTES + 10));
+        let format = LineFormat::Json {
+            time: None,
+            fields: Vec::new(),
+        };
+        let mut opened = OpenFile::open(&path, &format).unwrap().unwrap();
+        opened.go_to_end().unwrap();
+        assert_eq!(opened.position, (header.len() + 4 * READ_BYTES) as u64);
+        append(&path, "4\n5\n");
+        let mut last = Vec::new();
+        while let Some(lines) = opened.read().unwrap() {
+            last = lines;
+        }
+        let [Split::Line(first), Split::Line(second)] = &last[..] else {
+            panic!("{} lines", last.len());
+        };
+        assert!(first.ends_with("34") && second == "5");
+    }
+
+    #[test]
+    fn files_that_were_renamed_while_the_first_was_read_follow_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let named = |suffix: &str| folder.path().join(format!("log.csv{suffix}"));
+        for (age, suffix) in [(4, ".4"), (3, ".3"), (2, ".2"), (1, ".1"), (0, "")] {
+            append(&named(suffix), suffix);
+            let file = File::options().write(true).open(named(suffix)).unwrap();
+            let modified = SystemTime::now() - Duration::from_secs(3600 * age);
+            file.set_modified(modified).unwrap();
+        }
+        let plan = GrowingFile {
+            path: path.clone(),
+            format: LineFormat::RaspberryShake,
+            start: StartAt::Start,
+        };
+        let mut follower = Follower::new(plan, None);
+        let opened_as = identity(&std::fs::metadata(named(".3")).unwrap());
+        follower.last = Some((opened_as, path.clone()));
+        let next = follower.successors().unwrap();
+        assert_eq!(next, [named(".2"), named(".1"), path]);
+    }
 }

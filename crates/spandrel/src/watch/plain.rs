@@ -81,7 +81,7 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         false => format!("; {}", conditions.join(", ")),
     };
     format!(
-        "{}{} {name} {}{}{}{}{conditions}{}",
+        "{}{} {name} {}{}{}{}{}{conditions}{}",
         time(time_ns),
         match Origin::of(structure) {
             Origin::Measured => "",
