@@ -133,6 +133,11 @@ pub enum Command {
                       spandrel convert modal-test.uff modal-test.csv --resample 200"
     )]
     Convert(ConvertArguments),
+    /// Identify natural frequencies, damping ratios and mode shapes of a recording.
+    #[command(after_help = "Examples: spandrel modes bridge.mseed\n          \
+                      spandrel modes tower.dat --rate 100 --epoch 164 --report modes\n          \
+                      spandrel modes week-12.csv --structure tower.toml --json")]
+    Modes(ModesArguments),
     /// Run the published examples of the method and compare the results with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
                       spandrel validate outlier.oscillator --seed 17 --seed 5\n          \
@@ -657,6 +662,75 @@ pub struct ConvertArguments {
 }
 
 #[derive(Debug, Args)]
+pub struct ModesArguments {
+    /// Recording: a file of any known format, or a zip archive or folder of such files.
+    pub record: PathBuf,
+    /// Structure file, for the columns, units and sampling rate of its channels [default: all
+    /// channels of the recording].
+    #[arg(long, value_name = "STRUCTURE.toml", conflicts_with_all = ["rate", "time_column", "time_unit"])]
+    pub structure: Option<PathBuf>,
+    /// Channels to use, separated by commas [default: all].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub channels: Vec<String>,
+    /// Channels to leave out, separated by commas.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub without: Vec<String>,
+    /// Reference channels, separated by commas [default: all, or 6 of a larger number].
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub references: Vec<String>,
+    /// Length of an epoch (s) [default: the recording in equal parts of about 600 s].
+    #[arg(long, value_name = "SECONDS", value_parser = positive, allow_negative_numbers = true)]
+    pub epoch: Option<f64>,
+    /// Frequency band (Hz), such as 0.5..12 [default: several bands, up to 0.4 of the sampling
+    /// rate].
+    #[arg(long, value_name = "LOW..HIGH")]
+    pub band: Option<Band>,
+    /// Highest order of the models [default: 40].
+    #[arg(long, value_name = "ORDER")]
+    pub order: Option<usize>,
+    /// Folder for the stabilisation diagram and the singular-value spectrum (SVG), and for the modes
+    /// with their shapes (JSON) and of each epoch (CSV).
+    #[arg(long, value_name = "DIR")]
+    pub report: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    pub json: bool,
+    /// Output file for the modes of each epoch, one row per epoch and mode.
+    #[arg(long, value_name = "MODES.csv")]
+    pub csv: Option<PathBuf>,
+    #[command(flatten)]
+    pub reading: ReadingArguments,
+}
+
+/// A frequency band.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Band {
+    /// Lower end (Hz).
+    pub lowest_hz: f64,
+    /// Upper end (Hz).
+    pub highest_hz: f64,
+}
+
+impl std::str::FromStr for Band {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let wrong = || "must be two increasing frequencies in Hz, such as 0.5..12".to_owned();
+        let (low, high) = text.split_once("..").ok_or_else(wrong)?;
+        let number = |text: &str| text.parse::<f64>().map_err(|_| wrong());
+        let (lowest_hz, highest_hz) = (number(low)?, number(high)?);
+        if lowest_hz >= 0.0 && lowest_hz < highest_hz && highest_hz.is_finite() {
+            Ok(Self {
+                lowest_hz,
+                highest_hz,
+            })
+        } else {
+            Err(wrong())
+        }
+    }
+}
+
+#[derive(Debug, Args)]
 pub struct EstimateArguments {
     /// Structure file.
     #[arg(value_name = "STRUCTURE.toml")]
@@ -990,6 +1064,18 @@ mod tests {
         ] {
             let error = parse(options).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");
+        }
+    }
+
+    #[test]
+    fn band_is_two_increasing_frequencies() {
+        let band = Band {
+            lowest_hz: 0.5,
+            highest_hz: 12.0,
+        };
+        assert_eq!("0.5..12".parse(), Ok(band));
+        for wrong in ["5", "5..", "12..0.5", "-1..3", "0..inf", "a..b"] {
+            assert!(wrong.parse::<Band>().is_err(), "{wrong}");
         }
     }
 

@@ -10,6 +10,7 @@ mod estimate;
 mod feed;
 mod info;
 mod maintenance;
+mod modes;
 mod notify;
 mod progress;
 mod replay;
@@ -70,6 +71,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Check(arguments) => check::run(arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
+        Command::Modes(arguments) => modes::run(&arguments),
         Command::Validate(arguments) => validate::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),
         Command::Router(arguments) => router::run(&arguments),

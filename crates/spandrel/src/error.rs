@@ -8,6 +8,7 @@ use spandrel_feed::FeedError;
 use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
 use spandrel_ingest::IngestError;
+use spandrel_modal::ModalError;
 use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
 use spandrel_sensor::SensorError;
@@ -297,6 +298,91 @@ pub enum AppError {
         /// Largest allowed share.
         largest: f64,
     },
+    /// The modes of a recording cannot be identified.
+    #[error("{}: modes cannot be identified", path.display())]
+    Modal {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Cause of the error.
+        source: ModalError,
+    },
+    /// A recording does not have this channel, or the channel is of no use.
+    #[error("{}: no channel `{name}`, must be one of: {known}", path.display())]
+    UnknownChannel {
+        /// Path of the recording.
+        path: PathBuf,
+        /// The unknown name.
+        name: String,
+        /// Names of the channels.
+        known: String,
+    },
+    /// Too few channels of a recording are of use.
+    #[error(
+        "{}: {found} channels with samples that vary, must be at least 2{}", path.display(),
+        if left_out.is_empty() { String::new() } else { format!("; left out: {left_out}") }
+    )]
+    TooFewChannels {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Number of channels that are of use.
+        found: usize,
+        /// Channels that are of no use, with the reasons.
+        left_out: String,
+    },
+    /// A recording is too short for its modes.
+    #[error(
+        "{}: is {found_s:.2} s long, must be at least {at_least_s:.2} s with these channels and \
+         this band", path.display()
+    )]
+    TooShort {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Length found (s).
+        found_s: f64,
+        /// Smallest length (s).
+        at_least_s: f64,
+    },
+    /// A recording has no complete epoch without a gap.
+    #[error(
+        "{}: contains no epoch of {epoch_s:.1} s without a gap in {found_s:.1} s; choose a shorter \
+         one with --epoch", path.display()
+    )]
+    NoEpoch {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Length of the recording (s).
+        found_s: f64,
+        /// Length of an epoch (s).
+        epoch_s: f64,
+    },
+    /// The samples of a recording lie too far apart in time.
+    #[error(
+        "{}: {samples} samples of a channel over {steps} time steps, must cover at least 1 % of them; \
+         check the times, or leave channels out with --without", path.display()
+    )]
+    TooSparse {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Largest number of samples of a channel.
+        samples: usize,
+        /// Number of time steps from the first to the last sample of any channel.
+        steps: usize,
+    },
+    /// No mode of a recording was found.
+    #[error(
+        "{}: no mode found; choose a longer --epoch, another --band, or a recording with more motion",
+        path.display()
+    )]
+    NoMode {
+        /// Path of the recording.
+        path: PathBuf,
+    },
+    /// A diagram cannot be drawn.
+    #[error("the diagram cannot be drawn: {reason}")]
+    Diagram {
+        /// Reason of the drawing library.
+        reason: String,
+    },
     /// A structure without parameters cannot have a baseline.
     #[error("{}: has no [[parameter]], must have at least one", path.display())]
     NoParameters {
@@ -339,6 +425,12 @@ impl AppError {
             | Self::NothingLearnt { .. }
             | Self::BaselineContradicted { .. }
             | Self::NoParameters { .. }
+            | Self::Modal { .. }
+            | Self::UnknownChannel { .. }
+            | Self::TooFewChannels { .. }
+            | Self::TooShort { .. }
+            | Self::NoEpoch { .. }
+            | Self::TooSparse { .. }
             | Self::NoSuchNode { .. }
             | Self::NoStandbyOfNodes { .. }
             | Self::UnknownNode { .. }
@@ -359,6 +451,8 @@ impl AppError {
             | Self::FiguresMissed { .. }
             | Self::ChannelsMissing { .. }
             | Self::NothingMeasured
+            | Self::NoMode { .. }
+            | Self::Diagram { .. }
             | Self::NotDelivered { .. }
             | Self::NoAnswerOfNotify { .. }
             | Self::Io { .. }

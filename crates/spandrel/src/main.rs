@@ -9,6 +9,7 @@ mod commands;
 mod distributed;
 mod error;
 mod logging;
+mod modes;
 mod offline;
 mod record_source;
 mod role_check;

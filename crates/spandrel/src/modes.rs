@@ -1,0 +1,11 @@
+//! `spandrel modes`: from a recording to its natural frequencies, damping ratios and shapes.
+//!
+//! - [`frames`]: the channels of a recording as frames of equal times
+//! - [`analysis`]: chooses epochs and bands, and identifies the modes
+//! - [`table`]: the results as text, JSON and CSV
+//! - [`diagrams`]: the stabilisation diagram and the singular-value spectrum as SVG
+
+pub mod analysis;
+pub mod diagrams;
+pub mod frames;
+pub mod table;

@@ -1,0 +1,179 @@
+//! Chooses epochs and bands for a recording, and identifies its modes.
+
+use super::frames::Frames;
+use crate::error::AppError;
+use serde::Serialize;
+use spandrel_modal::{
+    BandLadder, ChannelUse, LadderEpoch, ModalError, ModalSettings, ModeSummary, RecordModes,
+    Source,
+};
+
+/// Duration without any sample after which a new epoch starts (s). Shorter gaps repeat the last
+/// values.
+const LONGEST_GAP_S: f64 = 1.0;
+
+/// What the user has chosen.
+#[derive(Debug, Clone, Default)]
+pub struct Choice {
+    /// Length of an epoch (s).
+    pub epoch_s: Option<f64>,
+    /// Band (Hz).
+    pub band_hz: Option<(f64, f64)>,
+    /// Highest order of the models.
+    pub highest_order: Option<usize>,
+    /// Names of the reference channels.
+    pub references: Vec<String>,
+}
+
+/// The modes of a recording.
+#[derive(Debug)]
+pub struct Analysis {
+    /// Settings of each band, from the highest to the lowest.
+    pub bands: Vec<ModalSettings>,
+    /// The epochs, whose spectra the diagrams show.
+    pub epochs: Vec<LadderEpoch>,
+    /// Modes of each epoch.
+    pub record: RecordModes,
+    /// Modes and machines of the recording.
+    pub modes: Vec<ModeSummary>,
+    /// Number of modes that are not among `modes`, because their damping ratio is smaller than its
+    /// standard deviation. Most of these do not exist.
+    pub uncertain: usize,
+}
+
+/// A channel that took no part in some epochs.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Absence {
+    /// Name of the channel.
+    pub channel: String,
+    /// Number of epochs without the channel.
+    pub epochs: usize,
+    /// Reason in the first of these epochs.
+    pub first: ChannelUse,
+}
+
+/// Identifies the modes of a recording.
+///
+/// # Errors
+/// A choice is not valid, or the recording is too short.
+pub fn analyse(frames: &Frames, choice: &Choice) -> Result<Analysis, AppError> {
+    let failed = |source: ModalError| AppError::Modal {
+        path: frames.path.clone(),
+        source,
+    };
+    let settings = settings(frames, choice)?;
+    let mut ladder = ladder(&settings, choice).map_err(failed)?;
+    let mut record = RecordModes::default();
+    let mut epochs = Vec::new();
+    let longest_gap = ((LONGEST_GAP_S * frames.rate_hz).round() as usize).max(1);
+    let mut missing = 0;
+    // An epoch with too few complete channels does not make the others useless.
+    let mut skipped = None;
+    for frame in frames.iter() {
+        let is_missing = frame.iter().all(|value| value.is_nan());
+        missing = if is_missing { missing + 1 } else { 0 };
+        if missing > longest_gap {
+            continue;
+        }
+        if missing == longest_gap {
+            ladder.gap();
+            continue;
+        }
+        let Some(epoch) = ladder.push(frame).map_err(failed)? else {
+            continue;
+        };
+        match record.push(&epoch) {
+            Ok(()) => epochs.push(epoch),
+            Err(error @ ModalError::Channels { .. }) => skipped = Some(error),
+            Err(error) => return Err(failed(error)),
+        }
+    }
+    if let (Some(error), true) = (skipped, epochs.is_empty()) {
+        return Err(failed(error));
+    }
+    if epochs.is_empty() {
+        return Err(AppError::NoEpoch {
+            path: frames.path.clone(),
+            found_s: frames.length_s(),
+            epoch_s: settings.epoch_s,
+        });
+    }
+    let is_certain =
+        |mode: &ModeSummary| mode.source == Source::Machine || mode.damping > mode.damping_std;
+    let (modes, uncertain): (Vec<_>, Vec<_>) = record.summary().into_iter().partition(is_certain);
+    Ok(Analysis {
+        bands: ladder.settings().cloned().collect(),
+        modes,
+        uncertain: uncertain.len(),
+        epochs,
+        record,
+    })
+}
+
+fn ladder(settings: &ModalSettings, choice: &Choice) -> Result<BandLadder, ModalError> {
+    match choice.band_hz {
+        Some(_) => BandLadder::single(settings),
+        None => BandLadder::new(settings),
+    }
+}
+
+/// Returns the channels that took no part in some epochs, with the number of these epochs and the
+/// reason of the first.
+pub fn absent(frames: &Frames, analysis: &Analysis) -> Vec<Absence> {
+    let named = frames.names.iter().enumerate();
+    named
+        .filter_map(|(position, name)| {
+            let mut reasons = analysis.epochs.iter().filter_map(|epoch| {
+                let used = epoch.bands.first()?.channels.get(position)?;
+                (*used != ChannelUse::Used).then_some(*used)
+            });
+            let first = reasons.next()?;
+            Some(Absence {
+                channel: name.clone(),
+                epochs: 1 + reasons.count(),
+                first,
+            })
+        })
+        .collect()
+}
+
+/// Returns the settings for a recording: the choice of the user, and epochs that fill the recording.
+fn settings(frames: &Frames, choice: &Choice) -> Result<ModalSettings, AppError> {
+    let mut settings = ModalSettings::new(frames.names.len(), frames.rate_hz);
+    if let Some((lowest_hz, highest_hz)) = choice.band_hz {
+        (settings.lowest_hz, settings.highest_hz) = (lowest_hz, highest_hz);
+    }
+    if let Some(highest_order) = choice.highest_order {
+        settings.highest_order = highest_order;
+    }
+    if !choice.references.is_empty() {
+        let positions = choice.references.iter().map(|name| frames.position(name));
+        settings.references = positions.collect::<Result<_, _>>()?;
+    }
+    if let Some(epoch_s) = choice.epoch_s {
+        settings.epoch_s = epoch_s;
+        return Ok(settings);
+    }
+    // The start-up of the lowest band leaves less for the epochs, which may remove this band.
+    let failed = |source: ModalError| AppError::Modal {
+        path: frames.path.clone(),
+        source,
+    };
+    let mut start_up_s = settings.start_up_s();
+    for _ in 0..2 {
+        let usable_s = frames.length_s() - start_up_s;
+        if usable_s < settings.shortest_epoch_s() {
+            return Err(AppError::TooShort {
+                path: frames.path.clone(),
+                found_s: frames.length_s(),
+                at_least_s: settings.shortest_epoch_s() + settings.start_up_s(),
+            });
+        }
+        let epochs = (usable_s / ModalSettings::EPOCH_S).round().max(1.0);
+        settings.epoch_s = usable_s / epochs;
+        let bands = ladder(&settings, choice).map_err(failed)?;
+        let all = bands.settings().map(ModalSettings::start_up_s);
+        start_up_s = all.fold(0.0, f64::max);
+    }
+    Ok(settings)
+}

@@ -1,0 +1,187 @@
+//! The modes of a recording as text, JSON and CSV.
+
+use super::analysis::{Absence, Analysis, absent};
+use super::frames::{Frames, listed};
+use crate::commands::counted;
+use serde_json::{Value, json};
+use spandrel_modal::{ChannelUse, ModeSummary, Source};
+use std::fmt::Write as _;
+
+/// Returns the table for people.
+pub fn text(frames: &Frames, analysis: &Analysis) -> String {
+    let epoch_s = analysis
+        .record
+        .epochs()
+        .first()
+        .map_or(0.0, |epoch| epoch.length_s);
+    let mut text = format!(
+        "{}: {} channels at {} Hz, {:.1} s, {} of {epoch_s:.1} s\n",
+        frames.path.display(),
+        frames.names.len(),
+        frames.rate_hz,
+        frames.length_s(),
+        counted(analysis.epochs.len(), "epoch", "epochs"),
+    );
+    if !frames.left_out.is_empty() {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "left out: {}", listed(&frames.left_out));
+    }
+    for Absence {
+        channel,
+        epochs,
+        first,
+    } in absent(frames, analysis)
+    {
+        let reason = match first {
+            ChannelUse::Used => "used".to_owned(),
+            ChannelUse::Constant => "constant".to_owned(),
+            ChannelUse::Dead => "no sample".to_owned(),
+            ChannelUse::Incomplete { missing } => {
+                format!("{:.0} % of its samples are missing", 100.0 * missing)
+            }
+        };
+        let of = counted(epochs, "epoch", "epochs");
+        let _ = writeln!(text, "left out of {of}: {channel} ({reason})");
+    }
+    text += "\nmode  frequency Hz       ±  scatter  damping %      ±  epochs  complexity\n";
+    let mut number = 0;
+    for mode in &analysis.modes {
+        let name = match mode.source {
+            Source::Mode => {
+                number += 1;
+                number.to_string()
+            }
+            Source::Machine => "–".to_owned(),
+        };
+        let scatter = mode
+            .frequency_scatter_hz
+            .map_or_else(|| "–".to_owned(), |scatter| format!("{scatter:.4}"));
+        let _ = write!(
+            text,
+            "{name:>4}  {:>12.4}  {:>6.4}  {scatter:>7}  {:>9.2}  {:>5.2}  {:>4.0} %  {:>10.3}",
+            mode.frequency_hz,
+            mode.frequency_std_hz,
+            100.0 * mode.damping,
+            100.0 * mode.damping_std,
+            100.0 * mode.epochs,
+            1.0 - mode.collinearity,
+        );
+        text += match mode.source {
+            Source::Mode => "\n",
+            Source::Machine => "  a machine, not a mode: no damping, constant amplitude\n",
+        };
+    }
+    if analysis.uncertain > 0 {
+        let modes = counted(analysis.uncertain, "mode", "modes");
+        let _ = writeln!(
+            text,
+            "not listed: {modes} whose damping ratio is smaller than its standard deviation"
+        );
+    }
+    text
+}
+
+/// Returns the modes as one JSON object.
+pub fn json(frames: &Frames, analysis: &Analysis) -> String {
+    let modes: Vec<Value> = analysis
+        .modes
+        .iter()
+        .map(|mode| mode_json(frames, mode))
+        .collect();
+    let epochs: Vec<Value> = analysis
+        .record
+        .epochs()
+        .iter()
+        .map(|epoch| {
+            let modes: Vec<Value> = epoch
+                .found
+                .modes
+                .iter()
+                .map(|mode| {
+                    json!({
+                        "source": mode.source,
+                        "frequency_hz": mode.frequency_hz,
+                        "frequency_std_hz": mode.frequency_std_hz,
+                        "damping": mode.damping,
+                        "damping_std": mode.damping_std,
+                    })
+                })
+                .collect();
+            json!({
+                "end_s": epoch.end as f64 / frames.rate_hz,
+                "length_s": epoch.length_s,
+                "modes": modes,
+            })
+        })
+        .collect();
+    let left_out: Vec<Value> = frames
+        .left_out
+        .iter()
+        .map(|(channel, reason)| json!({ "channel": channel, "reason": reason }))
+        .collect();
+    let all = json!({
+        "path": frames.path.display().to_string(),
+        "channels": frames.names,
+        "left_out": left_out,
+        "left_out_of_epochs": absent(frames, analysis),
+        "sampling_rate_hz": frames.rate_hz,
+        "modes": modes,
+        "uncertain_modes": analysis.uncertain,
+        "epochs": epochs,
+    });
+    format!("{all:#}\n")
+}
+
+fn mode_json(frames: &Frames, mode: &ModeSummary) -> Value {
+    let shape: Vec<Value> = mode
+        .best
+        .channels
+        .iter()
+        .zip(mode.best.shape.iter())
+        .zip(&mode.best.shape_std)
+        .map(|((channel, value), std)| {
+            json!({
+                "channel": frames.names[*channel],
+                "real": value.re,
+                "imaginary": value.im,
+                "std": std,
+            })
+        })
+        .collect();
+    let mut object = json!(mode);
+    object["complexity"] = json!(1.0 - mode.collinearity);
+    object["shape"] = json!(shape);
+    object
+}
+
+/// Returns one row per epoch and mode as CSV. Times are seconds since the start of the recording.
+pub fn csv(frames: &Frames, analysis: &Analysis) -> String {
+    let mut text =
+        "end [s],mode,frequency [Hz],frequency std [Hz],damping,damping std,complexity\n"
+            .to_owned();
+    for epoch in analysis.record.epochs() {
+        for (mode, id) in epoch.found.modes.iter().zip(&epoch.of_mode) {
+            let known = analysis
+                .modes
+                .iter()
+                .filter(|summary| summary.source == Source::Mode)
+                .position(|summary| summary.id == *id);
+            let name = match (mode.source, known) {
+                (Source::Machine, _) => "machine".to_owned(),
+                (Source::Mode, Some(position)) => (position + 1).to_string(),
+                (Source::Mode, None) => String::new(), // in too few epochs
+            };
+            let _ = writeln!(
+                text,
+                "{},{name},{},{},{},{},{}",
+                epoch.end as f64 / frames.rate_hz,
+                mode.frequency_hz,
+                mode.frequency_std_hz,
+                mode.damping,
+                mode.damping_std,
+                1.0 - mode.collinearity,
+            );
+        }
+    }
+    text
+}
