@@ -2,7 +2,7 @@
 //!
 //! S = max(0, S − z − k). Its average run length is approximately
 //! (e^(2kb) − 2kb − 1)/(2k²) with b = h + 1.166. Source: Siegmund (1985), Sequential Analysis,
-//! section 2.6, in the form that Woodall & Adams (1993) recommend.
+//! in the form that Woodall & Adams (1993) recommend.
 
 /// Allowance k, in units of σ.
 const ALLOWANCE: f64 = 0.5;

@@ -7,8 +7,9 @@
 //!
 //! R(t) = Σj mean_δ Πi exp(gi z(i) − κ(gi)).
 //!
-//! |g| is limited, because a clipped residual says nothing about larger shifts. R(t) − t is a supermartingale while the structure is sound, so that the average run length until
-//! R ≥ A is at least A days. Source: Shin, Ramdas & Rinaldo (2024), section 2 (e-SR detectors).
+//! |g| is limited, because a clipped residual says nothing about larger shifts. While the structure
+//! is sound, R(t) − t is a supermartingale. The average run length until R ≥ A is then at least A
+//! days. Source: Shin, Ramdas & Rinaldo (2024), on e-detectors of Shiryaev–Roberts type.
 //!
 //! The regression keeps learning and absorbs part of a step. h(t) is what remains of a unit step in
 //! the residual: h(t) = 1(t) − x(t)ᵀ c(t), where c(t) is the response of the coefficients, with

@@ -52,9 +52,9 @@
 //! - `course`: one quantity, day by day
 //! - [`Judge`]: the state machine of a structure, without clock, log or I/O
 //!
-//! Notation: y is the mean of ln(value) over a day, x its regressors, σ the standard deviation of a
-//! day, φ the correlation of two successive days, z a whitened residual in units of its standard
-//! deviation, R the evidence of a lasting step.
+//! Notation: y is the mean of ln(value) over a day, and x its regressors. σ is the standard deviation
+//! of a day, and φ the correlation of two successive days. z is a whitened residual in units of its
+//! standard deviation. R is the evidence of a lasting step.
 //!
 //! For rules on single estimates, within seconds, use `spandrel-alert`.
 

@@ -2,7 +2,7 @@
 //!
 //! Notation of the normal and inverse gamma model: prior N(m0, σ² Λ0⁻¹), σ² ~ InvGamma(a0, b0), here
 //! with m0 = 0. Source: Gelman et al., Bayesian Data Analysis (3rd ed., 2013), section 14.8;
-//! Särkkä (2013), section 3.2, for the sequential form.
+//! Särkkä (2013), chapter 3, for the sequential form.
 //!
 //! - Λn = Λ0 + Σ w x xᵀ (1)
 //! - mn = Λn⁻¹ (Λ0 m0 + Σ w x y) (2)

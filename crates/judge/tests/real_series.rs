@@ -1,7 +1,14 @@
 //! Series of two real structures: a bridge over a year with frost and then damage, and a tower.
 //!
 //! The series are in `shared/data` beside the repository and not part of it. A page in each folder
-//! states their source. No setting was chosen for them, except the length of the commissioning.
+//! states their source. The settings are the defaults, except the length of the commissioning.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking"
+)]
 
 mod support;
 
@@ -31,7 +38,7 @@ fn day(epoch: &Epoch) -> i64 {
     (epoch.time_s / DAY_S).floor() as i64
 }
 
-/// Joins two spans of days, the second of which follows the first after `gap` days.
+/// Joins two spans of days. The second follows the first after `gap` days.
 fn joined(epochs: &[Epoch], spans: [std::ops::Range<i64>; 2], gap: i64) -> Vec<Epoch> {
     let [first, second] = spans;
     let shifted = |span: &std::ops::Range<i64>, by: i64| -> Vec<Epoch> {

@@ -1,5 +1,12 @@
 //! The state of a judge: its size, its restart, and its reaction to bad input.
 
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking"
+)]
+
 mod support;
 
 use proptest::prelude::*;

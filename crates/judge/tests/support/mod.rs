@@ -7,7 +7,7 @@ use spandrel_judge::{
     State,
 };
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// A table: columns of text by name.
 pub struct Table(pub BTreeMap<String, Vec<String>>);
@@ -34,7 +34,7 @@ pub fn table_or_skip(name: &str) -> Option<Table> {
     Some(Table(names.zip(columns).collect()))
 }
 
-fn skip(path: &PathBuf) {
+fn skip(path: &Path) {
     let why = format!("{} does not exist", path.display());
     let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
     let permitted = std::env::var_os("WITHOUT_RECORDS").is_some();
