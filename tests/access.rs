@@ -521,6 +521,50 @@ async fn the_router_accepts_only_valid_certificates_of_its_authority() {
     assert!(connects(site.endpoint(), Some(&valid), &authority).await);
 }
 
+/// Regression: ten refused certificates and 100 refused messages left no trace.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_router_logs_refused_certificates_and_messages() {
+    const MANY: usize = 100;
+    let site = Secured::new(&five_storeys(), &["viewer.ada", "operator.grace"]);
+    let router = site.router();
+    let authority = site.folder().join("authority.pem");
+    let foreign = of_another_authority(&site);
+    for _ in 0..2 {
+        assert!(!connects(site.endpoint(), Some(&foreign), &authority).await);
+    }
+    router.wait_for_log("refused what=\"bus-handshake\"");
+    router.wait_for_log("UnknownIssuer");
+
+    // What a party may do leaves no trace.
+    let grace = site.join("operator.grace").await;
+    let keys = viewer_keys();
+    let key = keys.acknowledge(&Name::new("storey-2").unwrap());
+    for _ in 0..MANY {
+        grace.session().put(&key, "x").await.unwrap();
+    }
+    data_settled(grace.session()).await;
+
+    let ada = site.join("viewer.ada").await;
+    let declared = ada.session().declare_publisher(key.clone()).await.unwrap();
+    for _ in 0..MANY {
+        ada.session().put(&keys.event(), "x").await.unwrap();
+        declared.put("x").await.unwrap();
+    }
+    let named = "what=\"bus-right\" who=\"viewer.ada (127.0.0.1)\" why=\"Put on ";
+    router.wait_for_log(named);
+    data_settled(ada.session()).await;
+    drop(declared);
+    for bus in [ada, grace] {
+        bus.close().await.unwrap();
+    }
+    let log = router.stop().expect_code(0).stderr;
+    let lines = log.lines().filter(|line| line.contains("refused what="));
+    let lines: Vec<&str> = lines.collect();
+    assert!(lines.len() <= 20, "{} lines\n{log}", lines.len());
+    let of_grace = |line: &&&str| line.contains("operator.grace") && line.contains("Put");
+    assert_eq!(lines.iter().find(of_grace), None);
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_error_explains_a_rejected_session() {
     let site = Secured::new(&five_storeys(), &["viewer.ada"]);
@@ -773,7 +817,7 @@ async fn a_node_publishes_only_with_its_own_certificate() {
 }
 
 #[test]
-fn a_certificate_of_another_role_ends_a_subcommand_with_the_roles_that_may() {
+fn subcommand_with_a_certificate_of_another_role_lists_the_allowed_roles() {
     let site = Secured::new(
         &five_storeys(),
         &["viewer.ada", "worker.main", "gateway.demo"],

@@ -383,7 +383,7 @@ fn log_in_json_is_one_object_per_line() {
 /// A sound parameter must be published even before its first change, so that new views and queries
 /// receive its state.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_query_returns_that_a_sound_parameter_is_normal() {
+async fn query_returns_the_normal_state_of_a_sound_parameter() {
     let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference.design-std = 1e-9\n";
     let watched = Watched::start(rule).await;
     let view = watched.site.watch();

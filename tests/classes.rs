@@ -165,7 +165,7 @@ async fn leading_class_follows_the_damage_of_the_high_rise_and_the_alert_names_i
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn calibration_of_a_class_is_a_notice_and_the_estimates_are_those_of_a_record() {
+async fn calibration_of_a_class_is_an_event_and_estimates_equal_those_of_the_record() {
     let text = replaced(
         &example("bouc-wen-five.toml"),
         &[

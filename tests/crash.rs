@@ -376,7 +376,7 @@ async fn kills_at_random_moments_lose_nothing_and_change_no_bit() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "takes minutes: the long form of the test above"]
-async fn two_hundred_kills() {
+async fn two_hundred_kills_lose_nothing_and_change_no_bit() {
     for seed in [1, 2] {
         killed_at_random_moments(200, 1500.0, "10", seed).await;
     }

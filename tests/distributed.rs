@@ -84,7 +84,7 @@ async fn nodes_in_three_processes_and_a_station_give_the_numbers_of_a_record() {
 }
 
 #[test]
-fn a_node_that_measures_nothing_but_the_excitation_takes_part() {
+fn node_that_measures_only_the_excitation_participates() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let text = std::fs::read_to_string(path).unwrap();
     for motion in ["none", "modes", "samples"] {

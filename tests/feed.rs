@@ -24,8 +24,8 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::net::{TcpListener, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use support::{HOUSE, Process, Site, spandrel, within};
@@ -34,6 +34,8 @@ const STEP_NS: i64 = 10_000_000;
 const SECOND_NS: i64 = 1_000_000_000;
 /// Samples of a packet.
 const PACKET: i64 = 25;
+/// Number of random moments at which a feed is killed.
+const ROUNDS: usize = 10;
 
 /// Returns a time `seconds` ago, in whole steps.
 fn ago(seconds: i64) -> i64 {
@@ -282,7 +284,7 @@ async fn gaps_of_a_feed_that_is_killed_at_random_moments_are_reported_to_the_sam
     let configuration = configure(&site, &of_shake(&address));
     let shake = Shake::start(address, t0_ns, Duration::from_millis(10));
     let mut random = ChaCha8Rng::seed_from_u64(20_061);
-    for _ in 0..4 {
+    for _ in 0..ROUNDS {
         let feed = start_feed(&site, &configuration);
         let more = random.random_range(200..2500);
         frames.up_to(shake.sent() + more).await;
@@ -299,6 +301,163 @@ async fn gaps_of_a_feed_that_is_killed_at_random_moments_are_reported_to_the_sam
     );
     assert_eq!(reported(&events, missing).await, missing);
     feed.stop().expect_code(0);
+}
+
+/// A logger that sends lines `t;a;b` to whoever reads, and goes on without a reader.
+struct Logger<W> {
+    stop: Arc<AtomicBool>,
+    sent: Arc<AtomicI64>,
+    /// The reader. A write error removes it.
+    reader: Arc<Mutex<Option<W>>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl<W: Write + Send + 'static> Logger<W> {
+    /// Sends 25 lines every 10 ms. `accept` returns the next reader if there is one.
+    fn start(t0_ns: i64, mut accept: impl FnMut() -> Option<W> + Send + 'static) -> Self {
+        let (stop, sent, reader) = (
+            Arc::new(AtomicBool::new(false)),
+            Arc::new(AtomicI64::new(0)),
+            Arc::new(Mutex::new(None)),
+        );
+        let (stopping, sending, to) = (stop.clone(), sent.clone(), reader.clone());
+        let thread = std::thread::spawn(move || {
+            let mut number = 0;
+            while !stopping.load(Ordering::Relaxed) {
+                let lines: String = (number..number + PACKET)
+                    .map(|number| line(t0_ns, number))
+                    .collect();
+                let mut to: std::sync::MutexGuard<'_, Option<W>> = to.lock().unwrap();
+                if let Some(next) = accept() {
+                    *to = Some(next);
+                }
+                if let Some(reader) = &mut *to
+                    && reader.write_all(lines.as_bytes()).is_err()
+                {
+                    *to = None;
+                }
+                drop(to);
+                number += PACKET;
+                sending.store(number, Ordering::Relaxed);
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        });
+        Self {
+            stop,
+            sent,
+            reader,
+            thread: Some(thread),
+        }
+    }
+
+    /// Returns the number of samples so far.
+    fn sent(&self) -> i64 {
+        self.sent.load(Ordering::Relaxed)
+    }
+
+    /// Stops, closes the connection, and returns the number of samples.
+    fn stop(mut self) -> i64 {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().unwrap().join().unwrap();
+        *self.reader.lock().unwrap() = None;
+        self.sent()
+    }
+}
+
+/// Returns the line with sample `number` of both channels.
+fn line(t0_ns: i64, number: i64) -> String {
+    let [a, b] = counts(number);
+    format!("{};{a};{b}\n", t0_ns + number * STEP_NS)
+}
+
+/// Returns a source of these lines.
+fn of_lines(kind: &str) -> String {
+    format!(
+        "[[feed.source]]\nname = \"logger\"\n{kind}\nformat = \"csv\"\nseparator = \";\"\n\
+         columns = [\"t\", \"a\", \"b\"]\ntime-field = \"t\"\ntime-unit = \"ns\"\n"
+    ) + &channels(["a", "b"])
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn gaps_of_lines_over_tcp_are_reported_to_the_sample_when_the_feed_is_killed() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let events = bus
+        .subscribe::<Event>(site.keys().event(), 256)
+        .await
+        .unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let t0_ns = ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let source = of_lines(&format!("kind = \"tcp\"\naddress = \"{address}\""));
+    let configuration = configure(&site, &source);
+    let logger = Logger::start(t0_ns, move || {
+        let (stream, _) = listener.accept().ok()?;
+        stream.set_nonblocking(false).unwrap();
+        Some(stream)
+    });
+    let mut random = ChaCha8Rng::seed_from_u64(20_064);
+    for _ in 0..ROUNDS {
+        let feed = start_feed(&site, &configuration);
+        let more = random.random_range(200..2500);
+        frames.up_to(logger.sent() + more).await;
+        feed.kill();
+    }
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(logger.sent() + 500).await;
+    let sent = logger.stop();
+    frames.up_to(sent - 1).await;
+    let missing = frames.missing();
+    assert!(
+        missing[0] > 0,
+        "no samples were sent while the feed was stopped"
+    );
+    assert_eq!(reported(&events, missing).await, missing);
+    feed.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn gaps_of_standard_input_are_reported_to_the_sample_when_the_feed_is_killed() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let events = bus
+        .subscribe::<Event>(site.keys().event(), 256)
+        .await
+        .unwrap();
+    let t0_ns = ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let configuration = configure(&site, &of_lines("kind = \"stdin\""));
+    let (pipes, next) = std::sync::mpsc::channel();
+    let logger = Logger::start(t0_ns, move || next.try_recv().ok());
+    let start = || {
+        let mut command = site.connecting("feed");
+        let (feed, pipe) = Process::start_with_pipe(command.arg("--config").arg(&configuration));
+        feed.wait_for_log("feed ready");
+        pipes.send(pipe).unwrap();
+        feed
+    };
+    let mut random = ChaCha8Rng::seed_from_u64(20_065);
+    for _ in 0..ROUNDS {
+        let feed = start();
+        let more = random.random_range(200..2500);
+        frames.up_to(logger.sent() + more).await;
+        feed.kill();
+    }
+    let feed = start();
+    frames.up_to(logger.sent() + 500).await;
+    let sent = logger.stop();
+    frames.up_to(sent - 1).await;
+    let missing = frames.missing();
+    assert!(
+        missing[0] > 0,
+        "no samples were sent while the feed was stopped"
+    );
+    assert_eq!(reported(&events, missing).await, missing);
+    feed.wait().expect_code(0); // its input has ended
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -471,13 +630,13 @@ async fn growing_file_loses_nothing_when_it_is_renamed_and_the_feed_is_killed() 
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let mut next = 600;
     let mut feed = Some(feed);
-    for round in 0..4 {
-        let rows = random.random_range(2000..9000);
+    for round in 0..ROUNDS {
+        let rows = random.random_range(1000..5000);
         append(&log, t0_ns, next..next + rows);
         frames.up_to(next + random.random_range(0..rows)).await;
         feed.take().unwrap().kill();
         next += rows;
-        if round == 2 {
+        if round % 3 == 2 {
             // Rotated while the feed does not run.
             append(&log, t0_ns, next..next + 50);
             std::fs::rename(&log, &old).unwrap();
@@ -555,8 +714,8 @@ async fn files_dropped_into_a_folder_are_read_once_in_the_order_of_their_times()
         std::fs::write(inbox.join(name), text).unwrap();
     };
     // The names are not in the order of the times.
-    drop_file("b.csv", 0..2000);
-    drop_file("a.csv", 2000..4000);
+    drop_file("b.csv", 0..6000);
+    drop_file("a.csv", 6000..12_000);
     std::fs::write(inbox.join("notes.bin"), [0, 1, 2]).unwrap();
     let text = format!(
         "[[feed.source]]\nname = \"inbox\"\nkind = \"folder\"\npath = \"{}\"\n",
@@ -565,16 +724,23 @@ async fn files_dropped_into_a_folder_are_read_once_in_the_order_of_their_times()
     let configuration = configure(&site, &text);
     let feed = start_feed(&site, &configuration);
     feed.wait_for_log("notes.bin");
-    frames.up_to(1000).await;
     feed.kill();
+    let mut random = ChaCha8Rng::seed_from_u64(20_066);
+    let mut reached = 0;
+    for _ in 0..ROUNDS {
+        let feed = start_feed(&site, &configuration);
+        reached += random.random_range(100..1200);
+        frames.up_to(reached).await;
+        feed.kill();
+    }
     let feed = start_feed(&site, &configuration);
-    frames.up_to(3999).await;
+    frames.up_to(11_999).await;
     feed.stop().expect_code(0);
-    drop_file("c.csv", 4000..4500);
+    drop_file("c.csv", 12_000..12_500);
     let feed = start_feed(&site, &configuration);
-    frames.up_to(4499).await;
+    frames.up_to(12_499).await;
     assert_eq!(frames.missing(), [0, 0]);
-    assert_eq!(frames.found.len(), 4500);
+    assert_eq!(frames.found.len(), 12_500);
     feed.stop().expect_code(0);
 }
 

@@ -95,7 +95,7 @@ async fn live_samples_after_a_simulation_are_used() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn structure_whose_response_sensors_are_silent_is_blind_and_an_event_reports_it() {
+async fn structure_with_silent_response_sensors_is_blind_with_an_event() {
     let site = Site::with(&storeys(2, RULES));
     let _services = site.run();
     let bus = site.join().await;

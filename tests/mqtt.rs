@@ -9,13 +9,19 @@
 
 mod support;
 
-use spandrel_bus::{Bus, Delivery, FrameBlock, InstrumentState, Service, Start, Status, TimeGrid};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use spandrel_bus::{
+    Bus, ConditionDisplay, Delivery, Event, FrameBlock, InstrumentState, Service, Start, Status,
+    Stream, TimeGrid,
+};
 use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 use support::{DEADLINE, HOUSE, Process, Site, skip, within};
 
 const STEP_NS: i64 = 10_000_000;
@@ -86,6 +92,19 @@ impl Drop for Broker {
 struct Instrument(TcpStream);
 
 impl Instrument {
+    /// Publishes a message with quality of service 1, which the broker keeps for absent clients.
+    /// Returns once the broker has it. Source: MQTT 3.1.1, sections 3.3 and 3.4.
+    fn publish_kept(&mut self, topic: &str, payload: &[u8]) {
+        let mut body = vec![0, topic.len() as u8];
+        body.extend(topic.as_bytes());
+        body.extend([0, 1]); // packet identifier
+        body.extend(payload);
+        send(&mut self.0, 0x32, &body);
+        let mut answer = [0; 4];
+        self.0.read_exact(&mut answer).unwrap();
+        assert_eq!(answer, [0x40, 2, 0, 1], "the broker confirms the message");
+    }
+
     /// Publishes a message with quality of service 0.
     fn publish(&mut self, topic: &str, payload: &[u8]) {
         let mut body = vec![0, topic.len() as u8];
@@ -147,19 +166,37 @@ async fn frames(bus: &Bus, site: &Site, count: usize) -> BTreeMap<i64, Vec<f64>>
         .follow::<FrameBlock>(keys.frames(), keys.recording(), settings)
         .await;
     let (stream, mut found) = (stream.unwrap(), BTreeMap::new());
-    within(&format!("{count} frames"), async {
-        while found.len() < count {
+    let mut frames = 0;
+    read_frames(&stream, &mut found, |_| {
+        frames += 1;
+        frames >= count
+    })
+    .await;
+    found
+}
+
+/// Reads frames until one of them satisfies `is_last`, which receives its time (ns). The rest of
+/// its block is read, too.
+async fn read_frames(
+    stream: &Stream<FrameBlock>,
+    found: &mut BTreeMap<i64, Vec<f64>>,
+    mut is_last: impl FnMut(i64) -> bool,
+) {
+    within("frames", async {
+        let mut has_all = false;
+        while !has_all {
             let Delivery::Block(block) = stream.deliveries().recv_async().await.unwrap() else {
                 panic!("ingest has lost frames");
             };
             let grid = TimeGrid::new(block.t0_ns, block.sampling_rate_hz).unwrap();
             for (frame, values) in (block.header.sequence..).zip(block.values.chunks(2)) {
-                found.insert(grid.time_ns(frame), values.to_vec());
+                let time_ns = grid.time_ns(frame);
+                has_all |= is_last(time_ns);
+                found.insert(time_ns, values.to_vec());
             }
         }
     })
     .await;
-    found
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -191,6 +228,116 @@ async fn json_messages_arrive_in_the_frames_as_they_were_published() {
     for (time_ns, values) in found {
         let sent = counts((time_ns - t0_ns) / STEP_NS).map(|count| count as f64 / 100.0);
         assert_eq!(values, sent);
+    }
+    feed.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn gaps_of_messages_are_reported_to_the_sample_when_the_feed_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(broker) = Broker::start(folder.path(), "allow_anonymous true") else {
+        return;
+    };
+    let more = "format = \"json\"\ntime-field = \"t\"\ntime-unit = \"ns\"";
+    let (site, _ingest, mut feed, bus) = start(more, &broker.address).await;
+    let events = bus.subscribe::<Event>(site.keys().event(), 256);
+    let events = events.await.unwrap();
+    let (keys, settings) = (site.keys(), bus.reading(Start::Beginning).patient());
+    let stream = bus.follow::<FrameBlock>(keys.frames(), keys.recording(), settings);
+    let stream = stream.await.unwrap();
+    feed.wait_for_log("state=\"connected\"");
+    let (t0_ns, mut instrument) = (ago(3600), broker.instrument());
+    let mut random = ChaCha8Rng::seed_from_u64(20_067);
+    let (mut sent, mut found) = (0, BTreeMap::new());
+    for round in 0..=10 {
+        // Some messages are waiting at the broker when the feed starts again.
+        let until = sent + random.random_range(20..150) * 10;
+        let killed_at = sent + random.random_range(10..until - sent);
+        while sent < until {
+            let list = |channel: usize| -> Vec<i64> {
+                let numbers = sent..sent + 10;
+                numbers.map(|number| counts(number)[channel]).collect()
+            };
+            let (t_ns, x, y) = (t0_ns + sent * STEP_NS, list(0), list(1));
+            let message = format!("{{\"t\": {t_ns}, \"x\": {x:?}, \"y\": {y:?}}}");
+            instrument.publish_kept("house/a/acc", message.as_bytes());
+            sent += 10;
+        }
+        let reached = match round {
+            10 => sent - 1,
+            _ => killed_at,
+        };
+        read_frames(&stream, &mut found, |last_ns| {
+            last_ns >= t0_ns + reached * STEP_NS
+        })
+        .await;
+        if round < 10 {
+            feed.kill();
+            let path = site.folder().join("feed.toml");
+            feed = Process::start(site.connecting("feed").arg("--config").arg(path));
+            feed.wait_for_log("state=\"connected\"");
+        }
+    }
+    let mut missing = 0;
+    for (time_ns, values) in &found {
+        let number = (time_ns - t0_ns).div_euclid(STEP_NS);
+        for (value, sent) in values.iter().zip(counts(number)) {
+            match value.is_nan() {
+                true => missing += 1,
+                false => assert_eq!(*value, sent as f64 / 100.0, "sample {number}"),
+            }
+        }
+    }
+    let mut reported = 0;
+    let all = async {
+        while reported < missing {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            // `25 samples of channel ground lost up to …`
+            let count = event.what.split(' ').next().unwrap().parse::<u64>();
+            reported += count.unwrap_or(0);
+        }
+    };
+    let _ = tokio::time::timeout(Duration::from_secs(15), all).await;
+    assert_eq!(reported, missing);
+    assert_eq!(found.len() as i64, sent);
+    feed.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_temperature_beside_the_samples_is_a_condition() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(broker) = Broker::start(folder.path(), "allow_anonymous true") else {
+        return;
+    };
+    let air = "[[condition]]\nname = \"air\"\nunit = \"degC\"\n";
+    let site = Site::with(&format!("{HOUSE}\n{air}"));
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let values = bus.subscribe::<ConditionDisplay>(site.keys().all_conditions(), 64);
+    let values = values.await.unwrap();
+    let more = "format = \"json\"\ntime-field = \"t\"\ntime-unit = \"ns\"\n\
+                [[feed.source.condition]]\nsource = \"air.celsius\"\ncondition = \"air\"";
+    let path = configure(&site, &broker.address, more);
+    let feed = Process::start(site.connecting("feed").arg("--config").arg(path));
+    feed.wait_for_log("state=\"connected\"");
+    let (t0_ns, mut instrument) = (ago(60), broker.instrument());
+    for number in 0..100 {
+        let [x, y] = counts(number);
+        let air = match number % 50 {
+            0 => format!(", \"air\": {{\"celsius\": {number}.5}}"),
+            _ => String::new(),
+        };
+        let t_ns = t0_ns + number * STEP_NS;
+        let message = format!("{{\"t\": {t_ns}, \"x\": {x}, \"y\": {y}{air}}}");
+        instrument.publish("house/a/acc", message.as_bytes());
+    }
+    assert_eq!(frames(&bus, &site, 100).await.len(), 100);
+    for number in [0, 50] {
+        let received = within("a value", values.messages().recv_async()).await;
+        let (_, value) = received.unwrap();
+        assert_eq!(value.time_ns, t0_ns + number * STEP_NS);
+        assert_eq!(value.value, number as f64 + 0.5);
     }
     feed.stop().expect_code(0);
 }

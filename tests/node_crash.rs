@@ -283,7 +283,7 @@ fn local_numbers(message: &LocalMessage) -> (Vec<f64>, Vec<f64>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_killed_station_and_a_killed_worker_resume_where_they_were() {
+async fn killed_station_and_worker_resume_from_their_checkpoints() {
     let (mut undisturbed, mut town) = (Town::start().await, Town::start().await);
     let start_s = (now_ns() as f64 * 1e-9).ceil() + HEAD_START_S;
     undisturbed.measure(start_s);

@@ -283,7 +283,7 @@ async fn taken(bus: &Bus, keys: &Keys, count: u64) {
 
 // Undelivered notices must survive a crash, and not only the last state of each alert.
 #[tokio::test(flavor = "multi_thread")]
-async fn notices_survive_kills_between_failures_and_arrive_under_one_key_each() {
+async fn notices_survive_kills_and_arrive_under_one_key_each() {
     let site = Site::with(&two_storeys(DAMAGED));
     let (bus, keys) = (site.host().await, site.keys());
     let is_down = Arc::new(AtomicBool::new(true));
@@ -674,7 +674,7 @@ async fn muted(bus: &Bus, keys: &Keys) {
 }
 
 #[test]
-fn maintenance_without_notify_says_so() {
+fn maintenance_without_notify_is_an_error() {
     let site = Site::with(&two_storeys(DAMAGED));
     let mut command = spandrel("maintenance");
     command.args(["house", "--listen", site.endpoint()]);
@@ -685,7 +685,7 @@ fn maintenance_without_notify_says_so() {
 }
 
 #[test]
-fn test_notice_tells_what_happened_at_each_receiver() {
+fn test_notice_reports_the_result_of_each_receiver() {
     let site = Site::with(&two_storeys(DAMAGED));
     let (hook, hooks) = http(0);
     let (broken, _refused) = answering(|| true);
@@ -742,7 +742,7 @@ fn test_notice_tells_what_happened_at_each_receiver() {
 
 // A live simulation has the pace of measured samples.
 #[tokio::test(flavor = "multi_thread")]
-async fn live_simulation_pages_nobody() {
+async fn live_simulation_sends_no_notice_without_a_request() {
     let site = Site::with(&two_storeys(DAMAGED));
     let (pager, paged) = http(0);
     let (hook, hooks) = http(0);
@@ -780,7 +780,7 @@ async fn live_simulation_pages_nobody() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_what_nobody_has_acknowledged_is_escalated() {
+async fn only_unacknowledged_alerts_are_escalated() {
     let site = Site::with(&two_storeys(DAMAGED));
     let (bus, keys) = (site.host().await, site.keys());
     let (first, told) = http(0);

@@ -75,7 +75,7 @@ async fn last_display(displays: &Subscription<OutlierDisplay>, time_ns: i64) -> 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn wrong_samples_are_flagged_and_do_no_harm() {
+async fn wrong_samples_are_flagged_and_hardly_affect_the_estimate() {
     let site = Site::of(&example());
     let record = site.simulate(SECONDS);
     let sound_site = Site::with(&sound());

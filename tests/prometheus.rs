@@ -47,7 +47,7 @@ fn is_installed() -> bool {
 }
 
 #[test]
-fn promtool_finds_nothing_wrong_in_configuration_and_rules() {
+fn promtool_accepts_configuration_and_rules() {
     if !is_installed() {
         return;
     }
@@ -348,7 +348,7 @@ fn every_panel_of_the_dashboard_uses_the_provisioned_source_and_none_overlap() {
 }
 
 #[test]
-fn each_query_of_the_dashboard_finds_values_and_the_rules_are_in_force() {
+fn each_query_of_the_dashboard_finds_values_and_the_rules_are_active() {
     if !is_installed() {
         return;
     }

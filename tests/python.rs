@@ -14,9 +14,9 @@
 mod support;
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, CaughtUp, Event, FitDisplay, HistorySpan, LossDisplay, Message,
-    ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, Status,
+    Acknowledgement, AlertMessage, CaughtUp, ConditionDisplay, Event, FitDisplay, HistorySpan,
+    LossDisplay, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, Status,
 };
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -94,6 +94,7 @@ fn the_package_supports_the_versions_of_the_services() {
         NoiseDisplay::encoding(),
         OutlierDisplay::encoding(),
         SensorHealthDisplay::encoding(),
+        ConditionDisplay::encoding(),
         ModelClassDisplay::encoding(),
         FitDisplay::encoding(),
         MonitoringDisplay::encoding(),
@@ -112,6 +113,19 @@ fn the_package_supports_the_versions_of_the_services() {
     assert_eq!(found, expected);
 }
 
+#[test]
+fn the_package_has_the_units_of_the_services() {
+    let Some(python) = python() else { return };
+    let script = "import spandrel; print('\\n'.join(spandrel.CONDITION_UNITS))";
+    let mut command = Command::new(python);
+    command
+        .args(["-c", script])
+        .env("PYTHONPATH", package().join("src"));
+    let said = text(&command.output().unwrap());
+    let expected: Vec<&str> = ConditionDisplay::units().collect();
+    assert_eq!(said.lines().collect::<Vec<_>>(), expected);
+}
+
 fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
     let mut command = Command::new(python);
     command
@@ -125,7 +139,7 @@ fn client(python: &str, site: &Site, arguments: &[&str]) -> Command {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_script_with_a_certificate_receives_what_a_viewer_may() {
+async fn script_with_a_certificate_has_the_rights_of_a_viewer() {
     let Some(python) = python() else { return };
     let folder = tempfile::tempdir().unwrap();
     let structure = folder.path().join("house.toml");

@@ -10,13 +10,13 @@
 mod support;
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, Bus, Description, EstimateBlock, Name,
-    Service, Subscription,
+    Acknowledgement, AlertMessage, AlertState, Block, Bus, BusConfig, Description, EstimateBlock,
+    Mode, Name, Service, Subscription,
 };
 use std::path::{Path, PathBuf};
 use support::{
-    DEADLINE, EstimateReader, Identified, Process, Site, assert_same_bits, distributed_storeys,
-    five_storeys, two_storeys, within,
+    DEADLINE, Drops, EstimateReader, Identified, Process, Sensors, Site, assert_same_bits,
+    distributed_storeys, five_storeys, two_storeys, within,
 };
 
 /// Length of the record (s), longer than the data that can be in transit. A replay therefore cannot
@@ -59,6 +59,86 @@ async fn a_killed_identification_gives_the_same_numbers_after_its_restart() {
         &expected.frames,
         late.read_to_end(1).await,
     );
+}
+
+/// Returns the checkpoints of a service in a folder.
+fn checkpoints(folder: &Path, service: &str) -> usize {
+    let Ok(files) = std::fs::read_dir(folder) else {
+        return 0; // not yet created
+    };
+    let names = files.map(|file| file.unwrap().file_name().into_string().unwrap());
+    let is_one = |name: &String| name.starts_with(service) && name.ends_with(".checkpoint");
+    names.filter(is_one).count()
+}
+
+// Identify resumed from its oldest checkpoint, and the first 50 to 850 estimates never reached
+// alert.
+#[tokio::test(flavor = "multi_thread")]
+async fn estimates_before_the_first_checkpoint_of_alert_survive_that_both_are_killed() {
+    let rule = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\n";
+    let site = Site::with(&two_storeys(rule));
+    let record = site.simulate(10.0);
+    let expected = site.estimate(&record);
+    let state = site.folder().join("state");
+    let command = |service: &str, checkpoint_s: f64| {
+        let file = site.folder().join(format!("{service}.toml"));
+        let text = format!(
+            "[bus]\nmode = \"client\"\n[state]\nfolder = \"{}\"\ncheckpoint-s = {checkpoint_s}\n",
+            state.display()
+        );
+        std::fs::write(&file, text).unwrap();
+        let mut command = site.connecting(service);
+        command.arg("--config").arg(file);
+        command
+    };
+    // Whether alert saves anything within seconds is chance. Here it does not.
+    let mut alert = command("alert", 3600.0);
+    let mut identify = command("identify", 0.05);
+    let config = BusConfig {
+        mode: Mode::Router,
+        listen: vec![site.endpoint().to_owned()],
+        ..BusConfig::default()
+    };
+    let _router = Bus::open(&config).await.unwrap();
+    let (bus, keys) = (site.join().await, site.keys());
+    let _ingest = Process::start(&mut command("ingest", 5.0));
+    let first = [Process::start(&mut identify), Process::start(&mut alert)];
+    site.wait_for_services(&bus).await;
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    let folder = state
+        .join(keys.root().as_str())
+        .join(site.structure().name())
+        .join("checkpoints");
+    for row in (0..500).step_by(10) {
+        sensors.put(row..row + 10).await;
+        let mut decided = bus
+            .watch_progress(keys.progress(Service::Alert))
+            .await
+            .unwrap();
+        let done = row as u64;
+        within(
+            "decisions",
+            decided.wait_for(|progress| progress.done >= done),
+        )
+        .await;
+    }
+    assert!(
+        checkpoints(&folder, "identify-") > 2,
+        "{}",
+        folder.display()
+    );
+    assert_eq!(checkpoints(&folder, "alert-"), 0, "alert has saved nothing");
+    first.into_iter().for_each(Process::kill);
+    let _second = [Process::start(&mut identify), Process::start(&mut alert)];
+    let mut reader = EstimateReader::join(&bus, &keys).await;
+    sensors.put(500..record.len()).await;
+    let found = reader.read_frames(record.len()).await;
+    assert_same_bits("second run", &expected.parameters, &expected.frames, found);
+    let status = Drops::watch(&bus, &keys)
+        .await
+        .when_done(Service::Alert, record.len() as u64)
+        .await;
+    assert_eq!(status.drops.get("lost-items"), None, "{:?}", status.drops);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -12,7 +12,7 @@ mod support;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use seedlink_rs_server::{DataStore, SeedLinkServer, ServerConfig, ShutdownHandle};
-use spandrel_bus::{Bus, Delivery, FrameBlock, Service, Start, Status, TimeGrid};
+use spandrel_bus::{Bus, ConditionDisplay, Delivery, FrameBlock, Service, Start, Status, TimeGrid};
 use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -30,11 +30,23 @@ fn counts(station: usize, number: i64) -> i32 {
     [5 * number, 1 - number][station]
 }
 
-/// Returns a miniSEED 2 record of station `R1` or `R2`, big endian, without compression.
+/// Returns the record of station `R1` or `R2` that starts at sample `number`.
+fn record(station: usize, t0_ns: i64, number: i64) -> Vec<u8> {
+    let id = (&*format!("R{}", station + 1), "ENZ");
+    record_of(id, 100, t0_ns + number * STEP_NS, |sample| {
+        counts(station, number + sample)
+    })
+}
+
+/// Returns a miniSEED 2 record of a channel of a station, big endian, without compression.
 ///
 /// Source: SEED reference manual v2.4, chapter 8.
-fn record(station: usize, t0_ns: i64, number: i64) -> Vec<u8> {
-    let start_ns = t0_ns + number * STEP_NS;
+fn record_of(
+    (station, channel): (&str, &str),
+    rate_hz: i16,
+    start_ns: i64,
+    counts: impl Fn(i64) -> i32,
+) -> Vec<u8> {
     let (day, of_day_ns) = (
         start_ns.div_euclid(86_400 * SECOND_NS),
         start_ns.rem_euclid(86_400 * SECOND_NS),
@@ -43,11 +55,7 @@ fn record(station: usize, t0_ns: i64, number: i64) -> Vec<u8> {
     let seconds = of_day_ns / SECOND_NS;
     let mut bytes = format!(
         "{:06}D {:<5}{:<2}{:<3}{:<2}",
-        1,
-        format!("R{}", station + 1),
-        "00",
-        "ENZ",
-        "AM"
+        1, station, "00", channel, "AM"
     )
     .into_bytes();
     bytes.extend((year as u16).to_be_bytes());
@@ -60,7 +68,7 @@ fn record(station: usize, t0_ns: i64, number: i64) -> Vec<u8> {
     ]);
     bytes.extend(((of_day_ns % SECOND_NS / 100_000) as u16).to_be_bytes());
     bytes.extend((RECORD as u16).to_be_bytes());
-    bytes.extend(100_i16.to_be_bytes()); // rate factor
+    bytes.extend(rate_hz.to_be_bytes()); // rate factor
     bytes.extend(1_i16.to_be_bytes()); // rate multiplier
     bytes.extend([0, 0, 0, 1]); // flags, number of blockettes
     bytes.extend(0_i32.to_be_bytes()); // time correction
@@ -70,8 +78,8 @@ fn record(station: usize, t0_ns: i64, number: i64) -> Vec<u8> {
     bytes.extend(0_u16.to_be_bytes()); // no further blockette
     bytes.extend([3, 1, 9, 0]); // 32-bit integers, big endian, 2⁹ bytes
     bytes.resize(64, 0);
-    for sample in number..number + RECORD {
-        bytes.extend(counts(station, sample).to_be_bytes());
+    for sample in 0..RECORD {
+        bytes.extend(counts(sample).to_be_bytes());
     }
     assert_eq!(bytes.len(), 512);
     bytes
@@ -229,9 +237,9 @@ async fn nothing_is_lost(protocol: &str) {
     let mut frames = Frames::follow(&bus, &site, t0_ns).await;
     let mut random = ChaCha8Rng::seed_from_u64(20_062);
     let mut next = 0;
-    for _ in 0..4 {
+    for _ in 0..10 {
         let feed = start_feed(&site, &path);
-        let records = random.random_range(10..90);
+        let records = random.random_range(10..60);
         server.push(t0_ns, next..next + records);
         let samples = random.random_range(1..records * RECORD);
         frames.up_to(next * RECORD + samples).await;
@@ -264,6 +272,42 @@ async fn version_3_loses_nothing_when_feed_or_server_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn slow_channel_is_a_condition_with_one_value_per_sample() {
+    let journal = tempfile::tempdir().unwrap();
+    let server = Server::start("127.0.0.1:0", journal.path()).await;
+    let air = "[[condition]]\nname = \"air\"\nunit = \"degC\"\n";
+    let site = Site::with(&format!("{HOUSE}\n{air}"));
+    let bus = site.host().await;
+    let values = bus
+        .subscribe::<ConditionDisplay>(site.keys().all_conditions(), 1024)
+        .await
+        .unwrap();
+    let path = site.folder().join("feed.toml");
+    let text = format!(
+        "[[feed.source]]\nname = \"hub\"\nkind = \"seedlink\"\naddress = \"{}\"\n\
+         [[feed.source.condition]]\nsource = \"AM.R1.00.ENZ\"\ncondition = \"air\"\nsensitivity = 100\n",
+        server.address
+    );
+    std::fs::write(&path, text).unwrap();
+    let feed = start_feed(&site, &path);
+    feed.wait_for_log("state=\"connected\"");
+    let t0_ns = an_hour_ago();
+    let mut slow = record(0, t0_ns, 0);
+    slow[32..34].copy_from_slice(&1_i16.to_be_bytes()); // 1 Hz
+    server.store.push("AM", "R1", &slow).unwrap();
+    for sample in 0..RECORD {
+        let received = within("a value", values.messages().recv_async()).await;
+        let (_, value) = received.unwrap();
+        assert_eq!(value.time_ns, t0_ns + sample * SECOND_NS);
+        assert_eq!(value.value, f64::from(counts(0, sample)) / 100.0);
+    }
+    feed.stop().expect_code(0);
+    tokio::time::timeout(Duration::from_secs(30), server.stop())
+        .await
+        .unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn wrong_rate_of_a_record_is_an_error_with_both_rates() {
     let journal = tempfile::tempdir().unwrap();
     let server = Server::start("127.0.0.1:0", journal.path()).await;
@@ -293,4 +337,107 @@ async fn wrong_rate_of_a_record_is_an_error_with_both_rates() {
     tokio::time::timeout(Duration::from_secs(30), server.stop())
         .await
         .unwrap();
+}
+
+/// Number of stations, and of channels of each station, of [`load_of_many_stations`].
+const STATIONS: usize = 24;
+const CHANNELS: [&str; 3] = ["ENZ", "ENN", "ENE"];
+/// Sampling rate of these stations, Hz.
+const FAST_HZ: i64 = 200;
+/// Length of the measurement, s.
+const MEASURED_S: i64 = 60;
+
+/// Returns a building with a station on each floor.
+fn tall_house() -> String {
+    let mut text = format!(
+        "[structure]\nname = \"tower\"\nsampling-rate-hz = {FAST_HZ}\n[model]\n\
+         kind = \"shear-building\"\nstoreys = {STATIONS}\nmass-kg = 20_000\nfirst-frequency-hz = 0.5\n\
+         [damping]\nkind = \"rayleigh\"\nratio = 0.02\n[[parameter]]\nname = \"all\"\n\
+         scales = \"stiffness\"\nof = [\"storey-1\"]\n[[excitation]]\nname = \"ground\"\n\
+         kind = \"ground\"\nstd = 0.1\n"
+    );
+    for floor in 1..=STATIONS {
+        text += &format!("[[node]]\nname = \"floor-{floor}\"\n");
+        for channel in CHANNELS.map(str::to_lowercase) {
+            text += &format!(
+                "[[node.channel]]\nname = \"floor-{floor}-{channel}\"\n\
+                 quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\n\
+                 noise-std = 0.005\nrange = 1e9\n"
+            );
+        }
+    }
+    text
+}
+
+/// Prints the processor time of a feed that receives 24 stations of 3 channels at 200 Hz in real
+/// time.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "a measurement of a minute, for docs/performance.md"]
+async fn load_of_many_stations() {
+    let journal = tempfile::tempdir().unwrap();
+    let server = Server::start("127.0.0.1:0", journal.path()).await;
+    let site = Site::with(&tall_house());
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let mut text = format!(
+        "[[feed.source]]\nname = \"hub\"\nkind = \"seedlink\"\naddress = \"{}\"\n",
+        server.address
+    );
+    for floor in 1..=STATIONS {
+        for channel in CHANNELS {
+            text += &format!(
+                "[[feed.source.channel]]\nsource = \"AM.R{floor}.00.{channel}\"\n\
+                 channel = \"floor-{floor}-{}\"\nsensitivity = 100\n",
+                channel.to_lowercase()
+            );
+        }
+    }
+    let path = site.folder().join("feed.toml");
+    std::fs::write(&path, text).unwrap();
+    let feed = start_feed(&site, &path);
+    feed.wait_for_log("state=\"connected\"");
+    let statuses = bus.subscribe::<Status>(site.keys().statuses(Service::Feed), 256);
+    let statuses = statuses.await.unwrap();
+    let step_ns = SECOND_NS / FAST_HZ;
+    let t0_ns = Clock::of_machine().now_ns() / step_ns * step_ns;
+    let mut due = tokio::time::interval(Duration::from_nanos((RECORD * step_ns) as u64));
+    let records = MEASURED_S * FAST_HZ / RECORD;
+    let before_s = feed.processor_s();
+    let begun = tokio::time::Instant::now();
+    for number in 0..records {
+        due.tick().await; // a record is complete
+        for floor in 1..=STATIONS {
+            let station = format!("R{floor}");
+            for channel in CHANNELS {
+                let start_ns = t0_ns + (number - 1) * RECORD * step_ns;
+                let record = record_of((&station, channel), FAST_HZ as i16, start_ns, |sample| {
+                    ((number * RECORD + sample) as f64)
+                        .sin()
+                        .mul_add(1e5, floor as f64) as i32
+                });
+                server.store.push("AM", &station, &record).unwrap();
+            }
+        }
+    }
+    let samples = records * RECORD * (STATIONS * CHANNELS.len()) as i64;
+    within("all samples", async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if status.instruments["hub"].samples >= samples.unsigned_abs() {
+                assert_eq!(status.instruments["hub"].errors, 0);
+                return;
+            }
+        }
+    })
+    .await;
+    let (used_s, wall_s) = (feed.processor_s() - before_s, begun.elapsed().as_secs_f64());
+    println!(
+        "{STATIONS} stations of {} channels at {FAST_HZ} Hz: {samples} samples in {wall_s:.1} s, \
+         {used_s:.2} s of processor time, {:.1} % of a core",
+        CHANNELS.len(),
+        100.0 * used_s / wall_s
+    );
+    feed.stop().expect_code(0);
+    server.stop().await;
 }

@@ -275,7 +275,7 @@ fn the_demo_loses_no_frame_of_ten_minutes_at_full_speed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn services_and_readers_with_tiny_queues_in_one_session_get_everything() {
+async fn services_and_readers_with_tiny_queues_in_one_session_lose_nothing() {
     let site = Site::of(&five_storeys());
     let record = site.simulate(120.0);
     let expected = site.estimate(&record);

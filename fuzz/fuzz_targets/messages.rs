@@ -4,7 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Block, CaughtUp, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
+    Acknowledgement, AlertMessage, Block, CaughtUp, ConditionDisplay, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
     Format, FrameBlock, HistoryLog, HistorySpan, LocalMessage, LossDisplay, Maintenance, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, StateMessage, Status,
 };
@@ -63,6 +63,7 @@ const TYPES: &[fn(&[u8])] = &[
     message::<NoiseDisplay>,
     message::<OutlierDisplay>,
     message::<SensorHealthDisplay>,
+    message::<ConditionDisplay>,
     message::<ModelClassDisplay>,
     message::<NodeDisplay>,
     message::<Status>,

@@ -241,6 +241,12 @@ async fn samples(table: &mut Table, running: &mut Running) {
             ("stale-blocks", 1),
         ),
         (
+            "an epoch after the year 2262",
+            SAMPLES,
+            changed(&|block| block.header.epoch = u64::MAX),
+            ("impossible-blocks", 1),
+        ),
+        (
             "a number far ahead",
             SAMPLES,
             changed(&|block| block.header.sequence = 1 << 60),
@@ -500,6 +506,26 @@ async fn estimates(table: &mut Table, running: &mut Running) {
             table,
             "estimates of another structure",
             ("alert", "estimates-of-another-structure", 1),
+        )
+        .await;
+    let parameters = running.site.structure().parameters().len();
+    let forged = EstimateBlock {
+        term: u64::MAX,
+        parameters: parameters as u16,
+        ..block
+    };
+    put_raw(
+        &running.bus,
+        &running.keys.estimates(),
+        &EstimateBlock::encoding(),
+        forged.encode().unwrap(),
+    )
+    .await;
+    running
+        .add(
+            table,
+            "estimates in a term after the year 2262",
+            ("alert", "impossible-blocks", 1),
         )
         .await;
     // The message does not end anything.

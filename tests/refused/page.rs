@@ -229,6 +229,16 @@ fn requests(table: &mut Table, page: &Page) {
             ("403", &["foreign host name", "127.0.0.1"]),
         ),
         (
+            "two host names",
+            [
+                "GET",
+                "/api/structures",
+                "Host: 127.0.0.1\r\nHost: 127.0.0.1\r\n",
+                "",
+            ],
+            ("400", &["2 Host headers", "must have one"]),
+        ),
+        (
             "a header of 600 kB",
             ["GET", "/api/structures", &wide, ""],
             ("431", &[]),
@@ -242,6 +252,12 @@ fn requests(table: &mut Table, page: &Page) {
             &page.request(method, path, headers, body),
         );
     }
+    page.add(
+        table,
+        "a line of the head that ends without CR",
+        ("400", &[]),
+        &page.send(b"GET /health/live HTTP/1.1\nHost: 127.0.0.1\n\n"),
+    );
     page.add(
         table,
         "bytes that are no HTTP",

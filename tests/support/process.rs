@@ -57,6 +57,12 @@ impl Process {
         Self::spawn(command.stdin(Stdio::piped()))
     }
 
+    /// Starts a process that reads a pipe, and returns the other end of the pipe.
+    pub fn start_with_pipe(command: &mut Command) -> (Self, std::io::PipeWriter) {
+        let (input, output) = std::io::pipe().unwrap();
+        (Self::spawn(command.stdin(input)), output)
+    }
+
     /// Starts a process whose standard error is a pipe without a reader.
     pub fn start_with_closed_log(command: &mut Command) -> Self {
         let (_, closed) = std::io::pipe().unwrap();
@@ -86,6 +92,20 @@ impl Process {
             stdout,
             stderr,
         }
+    }
+
+    /// Returns the processor time that it has used so far, s.
+    pub fn processor_s(&self) -> f64 {
+        /// Clock ticks per second in `/proc`, the same on all Linux platforms.
+        const TICKS_PER_S: f64 = 100.0;
+        let path = format!("/proc/{}/stat", self.child.id());
+        let text = std::fs::read_to_string(path).unwrap();
+        // The name in parentheses may contain blanks. Fields 14 and 15 are user and system time.
+        let after_name = text.rsplit_once(')').unwrap().1;
+        let ticks = after_name.split_whitespace().skip(11).take(2);
+        ticks
+            .map(|ticks| ticks.parse::<f64>().unwrap() / TICKS_PER_S)
+            .sum()
     }
 
     /// Waits until standard error contains `text`.

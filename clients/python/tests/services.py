@@ -64,6 +64,10 @@ quantity = "velocity"
 dof = "floor-2"
 unit = "m/s"
 noise-std = 0.001
+[[condition]]
+name = "air"
+unit = "degC"
+range = [-40, 60]
 [ingest]
 lateness-s = 3600
 """

@@ -281,6 +281,41 @@ def test_messages_history_and_acknowledgement_of_a_damaged_building(site):
             spandrel.history("house", "storey-9", **settings)
 
 
+def test_a_published_condition_is_received_and_kept(site, caplog):
+    settings = {"connect": site.endpoint, "root": site.root}
+    measured_ns = time.time_ns() - 60_000_000_000
+    with site.start("run", "--http", "none"):
+        with (
+            spandrel.subscribe("house", [spandrel.Condition], **settings) as messages,
+            spandrel.ConditionPublisher(
+                "house", "air", "degC", interval=60, instrument="mast", **settings
+            ) as air,
+        ):
+            air.publish(21.5, measured_ns)
+            air.publish(-3, measured_ns + 1_000_000_000)
+            with pytest.raises(ValueError):
+                air.publish(math.nan)
+            expected = spandrel.Condition("house", "air", measured_ns, 21.5, "degC", 60.0, "mast")
+            assert messages.receive(DEADLINE_S) == expected
+            assert messages.receive(DEADLINE_S).value == -3.0
+
+        def past():
+            return spandrel.history("house", "air", kind="condition", **settings).points
+
+        wait_until("both values in the history", lambda: len(past()) == 2)
+        assert [point.mean for point in past()] == [21.5, -3.0]
+        assert past()[0].time_s == pytest.approx(measured_ns / 1e9, abs=1e-6)
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
+    with pytest.raises(spandrel.Closed):
+        air.publish(1.0)
+
+
+def test_a_condition_has_a_known_unit_and_a_name(site):
+    for unit, name in (("°C", "air"), ("degC", "air temperature")):
+        with pytest.raises(ValueError):
+            spandrel.ConditionPublisher("house", name, unit, connect=site.endpoint)
+
+
 def test_the_error_states_that_no_history_replies(site):
     with site.start("ingest"):
         with pytest.raises(spandrel.NoReply, match="spandrel history"):

@@ -42,7 +42,7 @@ mod tests {
     use crate::{Existing, Role, SiteFolder};
 
     #[test]
-    fn a_certificate_says_whose_it_is_and_what_is_none_is_named() {
+    fn certificate_names_its_party_and_an_error_names_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let (site, _) = SiteFolder::create(folder.path(), "bridge", 365, Existing::Keep).unwrap();
         let roof = Party::new(Role::Sensor, "tower.roof").unwrap();

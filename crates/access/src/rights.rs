@@ -48,12 +48,13 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 12] = [
+const DISPLAYED: [KeyFamily; 13] = [
     K::Parameter,
     K::Loss,
     K::Noise,
     K::Outlier,
     K::SensorHealth,
+    K::Condition,
     K::ModelClass,
     K::Fit,
     K::Monitoring,
@@ -148,6 +149,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Alert => [
             each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
+            // This status names nodes with a wrong clock.
+            each(Right::Subscribe, &[K::Status(Service::Ingest)]),
             each(
                 Right::Put,
                 &[
@@ -168,6 +171,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Query, &[K::Alert, K::AlertLog]),
             each(Right::Watch, &[K::Live(Service::Alert)]),
             each(Right::Answer, &[K::History, K::HistoryLog]),
+            // Events about its database.
+            each(Right::Put, &[K::Event]),
             of_service(Service::History),
         ]
         .concat(),
@@ -198,7 +203,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
             each(
                 Right::Query,
-                &[K::Alert, K::Description, K::History, K::HistoryLog],
+                &[
+                    K::Alert,
+                    K::Condition,
+                    K::Description,
+                    K::History,
+                    K::HistoryLog,
+                ],
             ),
             watch_all(),
         ]
@@ -211,11 +222,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         // The publisher of a replayed or simulated record waits for its readers and queries the
         // last sample that ingest has stored.
-        // A feed also reports gaps of its instruments as events, and its own status.
+        // A feed also publishes conditions, reports gaps of its instruments as events, and publishes
+        // its own status. The history states which conditions it has stored.
         Role::Gateway => [
             rights(Role::Sensor),
-            each(Right::Query, &[K::Recording]),
-            each(Right::Put, &[K::Event]),
+            each(Right::Query, &[K::Recording, K::History]),
+            each(Right::Put, &[K::Event, K::Condition]),
+            each(Right::Answer, &[K::Condition]),
             of_service(Service::Feed),
         ]
         .concat(),
@@ -262,6 +275,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Node
         | K::Outlier
         | K::SensorHealth
+        | K::Condition
         | K::Event
         | K::Alert
         | K::Acknowledge
@@ -285,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn only_sensors_and_those_who_run_a_feed_publish_samples() {
+    fn only_sensors_servers_and_gateways_publish_samples() {
         let putters: Vec<Role> = Role::ALL
             .into_iter()
             .filter(|role| may(*role, Right::Put, K::Samples))
@@ -295,7 +309,17 @@ mod tests {
     }
 
     #[test]
-    fn those_who_look_put_nothing_but_their_own_status() {
+    fn only_the_roles_of_a_feed_publish_conditions() {
+        let publishers = Role::ALL.into_iter();
+        let publishers = publishers.filter(|role| may(*role, Right::Put, K::Condition));
+        assert_eq!(
+            publishers.collect::<Vec<_>>(),
+            [Role::Server, Role::Gateway]
+        );
+    }
+
+    #[test]
+    fn reading_roles_publish_only_their_own_status_and_operators_also_acknowledgements() {
         let put = |role: Role| {
             rights(role)
                 .into_iter()
@@ -325,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_does_not_hear_other_sensors() {
+    fn sensor_receives_no_data_of_other_sensors() {
         for family in [K::Samples, K::Frames, K::Estimates, K::Local] {
             assert!(!may(Role::Sensor, Right::Subscribe, family), "{family:?}");
         }

@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_has_its_own_keys_only() {
+    fn sensor_has_only_its_own_keys() {
         assert_eq!(
             keys("sensor.tower.roof", Right::Put),
             ["spandrel/tower/sensor/roof/samples"]
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn who_watches_all_services_may_ask_for_all_at_once() {
+    fn watching_all_services_permits_wildcard_queries() {
         assert!(keys("viewer.ada", Right::Watch).contains(&"spandrel/*/live/*/*".to_owned()));
         assert!(keys("viewer.ada", Right::Subscribe).contains(&"spandrel/*/status/*/*".to_owned()));
         assert_eq!(
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn a_router_listens_with_certificates_only() {
+    fn router_endpoints_without_certificates_are_rejected() {
         let listen = ["tcp/0.0.0.0:7447".to_owned()];
         let error = written(&listen, &[], &[]).unwrap_err().to_string();
         assert!(
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn routers_of_a_site_pass_on_to_each_other_and_a_router_alone_admits_none() {
+    fn routers_of_a_site_forward_to_each_other_and_a_single_router_admits_no_router() {
         let (listen, other) = (
             ["quic/10.0.0.5:7447".to_owned()],
             ["quic/10.0.0.6:7447".to_owned()],

@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn normal_distribution_has_its_tabled_values_also_far_out() {
+    fn normal_distribution_has_the_tabulated_values_also_in_the_tails() {
         // Abramowitz & Stegun (1964), tables 26.1 and 26.2: Φ(1), Φ(1.96), and -log10 of 1 − Φ(x)
         // for x = 5 and 10.
         assert!((normal_cdf(1.0) - 0.841_344_746_068_543).abs() < 1e-14);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn uncertain_reference_makes_a_loss_less_sure() {
+    fn uncertain_reference_lowers_the_probability_of_a_loss() {
         // (0.95 - 0.90)/0.02 = 2.5; with s_r = 0.04: 0.05/√(0.02² + 0.038²) = 1.164 37.
         // Φ(2.5) = 0.993 790 (A&S table 26.1); Φ(1.16) = 0.876 976, Φ(1.17) = 0.879 000.
         let sharp = probability_of_loss(&estimate(0.9, 0.02), &Reference::DESIGN, 0.05);

@@ -125,11 +125,11 @@ enum Knowledge {
 /// Share of the prior's standard deviation below which an estimate counts as measured.
 const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 
-/// Factor on the standard deviation that shows twice the loss of the rule, above which the present
-/// learning rate counts as blindness.
+/// Ratio of the sustained standard deviation to the largest one that reveals twice the loss of the
+/// rule. Above it, the parameter is blind.
 ///
 /// The learning rate follows the vibration. A calm with a quarter of the amplitude has four times
-/// the standard deviation, and is no blindness.
+/// the standard deviation, and is not blindness.
 const BLIND_FROM: f64 = 4.0;
 
 /// Standard deviation of the change of an estimate if a sensor is left out, as a share of the
@@ -147,7 +147,8 @@ pub(crate) enum Vigilance {
     LearnsReference,
     /// Nothing is decided.
     Undecided(UndecidedBecause),
-    /// The present data reveal no change of the parameter, so that decisions rest on earlier data.
+    /// The present data reveal no change of the parameter, so that decisions depend on earlier
+    /// data.
     LearnsNothing,
 }
 
@@ -180,6 +181,12 @@ impl Decision {
             sustained_std: None,
             changes_without: Vec::new(),
         }
+    }
+
+    /// Removes what a checkpoint does not contain.
+    pub(crate) fn forget_unstored(&mut self) {
+        self.sustained_std = None;
+        self.changes_without.clear();
     }
 
     /// Sets the change of the estimate if a channel is left out, per observation row. `None` if it

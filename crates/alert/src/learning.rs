@@ -96,28 +96,28 @@ mod tests {
     }
 
     #[test]
-    fn wandering_estimate_adds_its_spread() {
+    fn drift_of_the_estimate_adds_to_the_variance() {
         let found = summary(&[(0.93, 0.04), (0.97, 0.04)]);
         assert!((found.mean - 0.95).abs() < 1e-12);
         assert!((found.variance() - (0.04_f64.powi(2) + 0.02_f64.powi(2))).abs() < 1e-12);
     }
 
     #[test]
-    fn wandering_beyond_the_stated_deviation_counts_three_times() {
+    fn drift_beyond_the_stated_deviation_counts_three_times() {
         let found = summary(&[(0.9, 0.02), (1.0, 0.02)]);
         let unstated = 0.05_f64.powi(2) - 0.02_f64.powi(2);
         assert!((found.variance() - (2.0 * 0.02_f64.powi(2) + 3.0 * unstated)).abs() < 1e-12);
     }
 
     #[test]
-    fn frames_that_carry_the_prior_count_little() {
+    fn uncertain_frames_have_little_weight() {
         let mut frames = vec![(1.0, 0.2); 100];
         frames.extend([(0.8, 0.01); 100]);
         assert!((summary(&frames).mean - 0.8).abs() < 0.001);
     }
 
     #[test]
-    fn nothing_is_learnt_from_nothing() {
+    fn learning_without_frames_gives_no_summary() {
         assert_eq!(Learning::new().summary(), None);
     }
 }

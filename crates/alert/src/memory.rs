@@ -115,6 +115,16 @@ impl AlertState {
         self
     }
 
+    /// Returns `true` if a checkpoint of this state equals one of `other`.
+    pub(crate) fn is_stored_like(&self, other: &Self) -> bool {
+        let stored = |state: &Self| {
+            let mut stored = state.clone();
+            stored.watch.forget_unstored();
+            stored
+        };
+        stored(self) == stored(other)
+    }
+
     /// Returns `true` if every parameter index is valid.
     fn is_consistent(&self) -> bool {
         let parameters = self.basis.parameters.len();
@@ -236,6 +246,21 @@ impl Memory {
             }
             Err(error) => self.failed(&error),
         }
+    }
+
+    /// Reports a folder that is gone, without waiting for something to save.
+    pub(crate) fn look(&mut self) {
+        let is_new = self.failures.consecutive() == 0 && !self.checkpoints.has_folder();
+        if is_new && self.failures.failed() {
+            warn!(
+                "the folder of the checkpoints is gone; alerts may be published again after a crash"
+            );
+        }
+    }
+
+    /// Returns `true` if the last save failed and the folder is back.
+    pub(crate) fn is_back(&self) -> bool {
+        self.failures.consecutive() > 0 && self.checkpoints.has_folder()
     }
 
     fn failed(&mut self, error: &CheckpointError) {

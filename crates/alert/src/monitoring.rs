@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use spandrel_bus::{
     Block, ChannelMonitoring, EstimateBlock, MonitoringDisplay, MonitoringState as State, Name,
-    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, StreamState, UndecidedBecause,
+    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, Status, StreamState, UndecidedBecause,
 };
 use spandrel_structure::Structure;
 
@@ -44,10 +44,12 @@ pub(crate) struct Monitoring {
     segments: VecDeque<Segment>,
     last: Option<Last>,
     state: Option<Judged>,
-    /// A state that the last judgement has found, but not the one before.
+    /// A state found only by the latest judgement.
     candidate: Option<State>,
     /// Whether the estimates contain the innovations of the channels.
     knows_channels: bool,
+    /// Nodes whose clock differs from that of most nodes, and the difference, s: positive if ahead.
+    wrong_clocks: Vec<(Name, f64)>,
 }
 
 #[derive(Debug)]
@@ -142,7 +144,15 @@ impl Monitoring {
             state: None,
             candidate: None,
             knows_channels: false,
+            wrong_clocks: Vec::new(),
         })
+    }
+
+    /// Takes the clocks of the nodes from the status of ingest.
+    pub(crate) fn take_clocks(&mut self, of_ingest: &Status) {
+        let clocks = of_ingest.clocks.iter();
+        let wrong = clocks.filter_map(|(node, clock)| Some((node.clone(), clock.difference_s?)));
+        self.wrong_clocks = wrong.collect();
     }
 
     /// Counts the used samples of a block.
@@ -185,8 +195,8 @@ impl Monitoring {
     /// Judges the state at the wall-clock time `now_ns` (ns since the Unix epoch, UTC). `silence` is
     /// the time since the last block of estimates.
     ///
-    /// Returns the display, and a change if the state has changed. A state that is found once may
-    /// be an accident, so that it counts from the second judgement on.
+    /// Returns the display, and a change if the state has changed. A new state counts from its
+    /// second judgement, because the first may be an accident.
     pub(crate) fn judge(
         &mut self,
         watch: &Watch,
@@ -309,6 +319,7 @@ impl Monitoring {
             reasons.push("no sensor of the response delivers usable samples".to_owned());
         }
         let is_blind = !reasons.is_empty();
+        reasons.extend(clock_reason(&self.wrong_clocks));
         if !self.is_without_response(channels) {
             reasons.extend(channel_reasons(channels));
         }
@@ -348,12 +359,12 @@ fn of_vigilance(vigilance: Vigilance) -> (State, Option<&'static str>) {
         Vigilance::Watching => (State::Watching, None),
         Vigilance::LearnsLittle => (
             State::Degraded,
-            Some("the present data reveal damage only after more time than usual"),
+            Some("damage would show only after more time than usual"),
         ),
         Vigilance::LearnsReference => (State::Blind, Some(REFERENCE_IS_LEARNT)),
         Vigilance::LearnsNothing => (
             State::Blind,
-            Some("the present data reveal nothing, so that the estimate rests on earlier data"),
+            Some("the present data contain no information; the estimate depends on earlier data"),
         ),
         Vigilance::Undecided(because) => (State::Blind, Some(because.words())),
     }
@@ -372,6 +383,29 @@ fn without_rule(
             Some("the present data reveal less than the prior"),
         ),
         _ => (State::Watching, None),
+    }
+}
+
+/// Returns a reason that names the nodes whose clock is wrong.
+fn clock_reason(wrong: &[(Name, f64)]) -> Option<String> {
+    match wrong {
+        [] => None,
+        [(node, difference_s)] => {
+            let side = match *difference_s < 0.0 {
+                true => "behind",
+                false => "ahead of",
+            };
+            let seconds = difference_s.abs();
+            Some(format!(
+                "the clock of {node} is {seconds:.1} s {side} most nodes"
+            ))
+        }
+        _ => {
+            let names = listed(wrong.iter().map(|(node, _)| node));
+            Some(format!(
+                "the clocks of {names} differ from those of most nodes"
+            ))
+        }
     }
 }
 
@@ -402,7 +436,7 @@ fn channel_reasons(channels: &[ChannelMonitoring]) -> Vec<String> {
                 listed(names(State::Degraded))
             ),
             _ => format!(
-                "only a part of the samples of {} is used, at least {share:.0} % of each",
+                "at least {share:.0} % of the samples of each of {} are used",
                 listed(names(State::Degraded))
             ),
         });

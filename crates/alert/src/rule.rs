@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn settings_out_of_range_are_refused_with_the_range() {
+    fn error_names_the_range_of_a_setting() {
         assert_eq!(
             Rule::new(1.5, 0.95, 0.5, 10.0).unwrap_err().to_string(),
             "loss is 1.5, must lie between 0 and 1"

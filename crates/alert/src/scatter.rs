@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_normal_part_it_has_the_tabled_quantiles_of_student() {
+    fn quantiles_without_a_normal_part_are_those_of_student() {
         // Abramowitz & Stegun (1964), table 26.10: one-sided points of 0.975 and 0.99.
         for (nu, at_975, at_99) in [
             (1.0, 12.706, 31.821),
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_is_found_with_few_values() {
+    fn root_is_found_with_few_evaluations() {
         for exact in [-3.0, -0.2, 0.0, 0.7, 6.0] {
             let values = std::cell::Cell::new(0);
             let found = root(-8.0, 8.0, 1e-12, |x: f64| {
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn without_scatter_and_with_many_degrees_of_freedom_it_is_normal() {
+    fn distribution_is_normal_without_a_student_part_or_with_many_degrees_of_freedom() {
         let sharp = NormalPlusStudent {
             normal_std: 2.0,
             student_scale: 0.0,
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn largest_usual_scatter_cuts_the_tail_of_few_records() {
+    fn largest_usual_deviation_shortens_the_tail_of_few_records() {
         // P(X ≤ x) by a fine sum over σ instead of w: density exp(−τ²/(2σ²) − σ²/(2c²))/σ²,
         // variance σ², τ = 0.05, c = 0.25.
         let cut = NormalPlusStudent {

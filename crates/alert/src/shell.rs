@@ -6,7 +6,7 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Delivery, DisplayPublisher,
     EstimateBlock, Event, EventKind, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay,
     MonitoringDisplay, MonitoringState, Name, ProgressPublisher, Question, Questions, Service,
-    Start, Stream, Subscription,
+    Start, Status, Stream, Subscription,
 };
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
@@ -22,6 +22,8 @@ use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 /// Capacity of the queue for acknowledgements. When it is full, the oldest is dropped and counted,
 /// and its sender sees no change.
 const ACKNOWLEDGEMENTS_WAITING: usize = 64;
+/// Capacity of the queue for status messages of ingest. Only the last one matters.
+const STATUSES_WAITING: usize = 4;
 /// Capacity of the queue for queries of the log.
 const QUESTIONS_WAITING: usize = 16;
 
@@ -58,6 +60,7 @@ pub struct AlertService {
     token: Option<LiveToken>,
     monitoring: Monitoring,
     monitoring_topic: DisplayPublisher<MonitoringDisplay>,
+    ingest_statuses: Subscription<Status>,
     events: EventPublisher,
     clock: Clock,
     /// Time of the last block of estimates, or of the start.
@@ -190,6 +193,9 @@ impl AlertService {
                 alerts,
                 monitoring: Monitoring::new(structure)?,
                 monitoring_topic: bus.publish_display(keys.monitoring()).await?,
+                ingest_statuses: bus
+                    .subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING)
+                    .await?,
                 events: EventPublisher::declare(bus, keys).await?,
                 clock: *clock,
                 received_at: Instant::now(),
@@ -232,6 +238,7 @@ impl AlertService {
                     }
                     Some(question) = self.questions.next() => self.answer(&question).await?,
                     _ = status.tick() => {
+                        self.look_at_the_memory();
                         self.put_status().await?;
                         self.put_monitoring().await?;
                     }
@@ -275,6 +282,18 @@ impl AlertService {
             topic.is_published = standing.is_some();
         }
         Ok(())
+    }
+
+    /// Reports checkpoints that are gone, and saves one as soon as their folder is back.
+    fn look_at_the_memory(&mut self) {
+        let Some(memory) = &mut self.memory else {
+            return;
+        };
+        memory.look();
+        // At most one attempt per interval of checkpoints, because the disk may still be full.
+        if memory.is_back() && memory.is_due() {
+            self.keep(Vec::new());
+        }
     }
 
     /// Saves a checkpoint with the new alerts, and returns the alerts. They must not be published
@@ -483,6 +502,9 @@ impl AlertService {
 
     /// Publishes the state of the monitoring, and an event if it has changed.
     async fn put_monitoring(&mut self) -> Result<(), AlertError> {
+        if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
+            self.monitoring.take_clocks(&status);
+        }
         let silence = self.received_at.elapsed();
         let now_ns = self.clock.now_ns();
         let (display, change) = self.monitoring.judge(&self.watch, silence, now_ns);
@@ -495,9 +517,9 @@ impl AlertService {
                 kind: EventKind::Monitoring,
                 subject: state.as_str().to_owned(),
                 what: format!(
-                    "the monitoring is {} instead of {}",
-                    state.as_str(),
-                    change.before.as_str()
+                    "the monitoring changed from {} to {}",
+                    change.before.as_str(),
+                    state.as_str()
                 ),
                 why: match state {
                     MonitoringState::Watching => {
@@ -553,7 +575,7 @@ fn begin(
         return Ok(new);
     };
     let state = new.succeed(former.clone());
-    if state != former {
+    if !state.is_stored_like(&former) {
         // The new alerts follow the unsent alerts of the last run.
         let ended = state
             .unsent

@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn change_counts_once_it_has_lasted_for_a_second() {
+    fn change_counts_after_one_second() {
         let mut support = Support::default();
         let contradicted = Some(UndecidedBecause::FitContradicted);
         support.take(contradicted, 0);
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn loss_shows_where_twice_the_rule_would_be_raised() {
+    fn loss_is_detectable_if_twice_the_rule_would_be_raised() {
         // 5 % with 95 %: Φ⁻¹(0.95) = 1.644854 (Abramowitz & Stegun, table 26.5), so s =
         // 0.05/1.644854 = 0.030398.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn sound_estimate_excludes_twice_the_rule_before_it_could_show_it() {
+    fn sound_estimate_can_exclude_twice_the_rule_without_being_able_to_show_it() {
         // A loss of 10 % differs from the sound value by 0.1: s = 0.1/1.644854 = 0.060796.
         let rule = Rule::new(0.05, 0.95, 0.5, 10.0).unwrap();
         let excludes = |support: &Support, std: f64| {
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn rule_about_more_than_half_asks_whether_the_loss_of_everything_would_show() {
+    fn rule_above_half_requires_that_a_total_loss_is_detectable() {
         // 70 % with 95 %: s = 0.3/1.644854 = 0.18239.
         let rule = Rule::new(0.7, 0.95, 0.5, 10.0).unwrap();
         let shows = |std: f64| {
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn estimate_within_a_deviation_of_its_bound_rests_on_it() {
+    fn estimate_within_one_deviation_of_a_bound_is_on_the_bound() {
         let bounds = (0.1, 2.0);
         assert!(
             is_on_bound(&estimate(0.1, 0.0), bounds) && is_on_bound(&estimate(1.995, 0.01), bounds)
@@ -390,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn jump_that_spoils_the_fit_holds_alerts_for_thirty_seconds() {
+    fn jump_with_a_doubtful_fit_holds_alerts_for_thirty_seconds() {
         assert_eq!(held_until(&[10], FitVerdict::Doubtful), 39.9);
         assert_eq!(
             held_until(&[10, 30], FitVerdict::Doubtful),
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn fit_that_was_doubtful_before_prolongs_nothing() {
+    fn earlier_doubtful_fit_does_not_prolong_the_hold() {
         let mut jump = Jump::default();
         let doubtful = EstimateFlags {
             fit: Some(FitVerdict::Doubtful),
@@ -422,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_those_of_the_frames() {
+    fn share_is_the_fraction_of_decided_frames() {
         let mut decided = DecidedFrames::default();
         assert_eq!(decided.share(), None);
         for frame in 0..8 {

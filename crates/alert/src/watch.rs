@@ -60,6 +60,13 @@ impl Watch {
         }
     }
 
+    /// Removes what a checkpoint does not contain.
+    pub(crate) fn forget_unstored(&mut self) {
+        self.decisions
+            .iter_mut()
+            .for_each(Decision::forget_unstored);
+    }
+
     /// Continues from `former`, the watch of an earlier structure file. Appends alerts for changes.
     ///
     /// `names` contains the parameter names by the indices in alerts: first those of this watch,

@@ -321,12 +321,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_asked_for_is_not_rounded() {
+    fn required_credibility_is_not_rounded() {
         assert_eq!([0.99, 0.5, 0.9999].map(asked), ["0.990", "0.500", "0.9999"]);
     }
 
     #[test]
-    fn shares_are_whole_where_they_can_be() {
+    fn whole_percentages_have_no_decimals() {
         assert_eq!(percent(0.05), "5 %");
         assert_eq!(percent(0.142), "14.2 %");
         assert_eq!(percent(-0.000_1), "0 %");
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn time_of_a_record_is_in_seconds_and_that_of_a_clock_by_the_calendar() {
+    fn times_of_records_are_in_seconds_and_times_of_clocks_are_dates() {
         assert_eq!(time(61_200_000_000), "61.20 s");
         assert_eq!(time(1_709_208_000_000_000_001), "2024-02-29 12:00:00 UTC");
     }

@@ -204,7 +204,7 @@ async fn estimates_published_before_the_start_of_the_service_are_decided() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_changed_structure_file_keeps_acknowledgements_and_ends_alerts_that_it_does_not_raise() {
+async fn changed_structure_file_keeps_acknowledgements_and_ends_alerts_it_does_not_raise() {
     let (bus, keys, estimates) = open("alert-test-d").await;
     let folder = tempfile::tempdir().unwrap();
     let remembering = Remembering {
@@ -282,7 +282,7 @@ async fn token_exists_while_the_service_runs() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn alert_is_unconfirmed_while_the_data_contradict_the_model_and_the_status_counts_it() {
+async fn alert_is_unconfirmed_and_counted_while_the_data_contradict_the_model() {
     let (bus, keys, estimates) = open("alert-test-undecided").await;
     let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
     let statuses = bus

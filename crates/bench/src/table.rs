@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn table_has_ratios_and_leaves_out_what_was_not_measured() {
+    fn table_has_ratios_and_omits_missing_measurements() {
         let table = markdown(&[row()]);
         assert_eq!(
             table.lines().last(),
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn plot_is_a_drawing_with_every_line() {
+    fn plot_contains_every_line() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("scaling.svg");
         plot(

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_ring_has_is_not_looked_up() {
+    fn items_in_the_ring_are_not_read_from_the_archive() {
         let mut ring =
             Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         push(&mut ring, &frames(3, 5, 5)).unwrap();
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn what_it_has_not_comes_from_the_archive_epoch_by_epoch() {
+    fn items_missing_in_the_ring_are_read_from_the_archive_epoch_by_epoch() {
         let ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         assert_eq!(found(&ring, 2, Some(3), 100), Some((3, 2, 5)));
         assert_eq!(found(&ring, 7, Some(1), 100), Some((1, 7, 10)));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_nothing_gets_what_is_recent() {
+    fn reader_without_a_position_gets_the_most_recent_items() {
         let ring = Ring::new("source".into(), 3, Keep::last(100)).going_on(5, StreamState::Running);
         assert_eq!(found(&ring, 0, None, 100), Some((3, 0, 5)));
         assert_eq!(found(&ring, 0, None, 2), Some((3, 3, 5)));

@@ -103,7 +103,7 @@ mod tests {
     const AT: fn(u64) -> Duration = Duration::from_secs;
 
     #[test]
-    fn what_was_recorded_before_is_not_live_and_what_comes_after_is() {
+    fn values_recorded_before_the_start_are_not_live_and_later_values_are() {
         let mut arrivals = Arrivals::default();
         assert!(arrivals.is_live(10), "nothing is known of a recording");
         assert!(arrivals.ingested(7, 100));
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn an_epoch_that_begins_later_is_live_at_any_time() {
+    fn values_of_a_later_epoch_are_live_at_any_time() {
         let mut arrivals = Arrivals::default();
         arrivals.ingested(7, 100);
         arrivals.ingested(6, 300);
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_again_was_not_heard() {
+    fn reread_values_do_not_count_as_live_arrivals() {
         let mut arrivals = Arrivals::default();
         arrivals.value(50, AT(1));
         assert_eq!(
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_recorded_when_ingest_comes_back_is_not_live() {
+    fn values_recorded_before_ingest_returns_are_not_live() {
         let mut arrivals = Arrivals::default();
         arrivals.ingested(7, 100);
         arrivals.value(150, AT(1));

@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn decimation_shows_the_display_rate_whatever_the_ratio() {
+    fn decimation_gives_the_display_rate_for_any_ratio() {
         for (rate, display, expected) in [
             (100.0, 10.0, 100),
             (120.0, 10.0, 100),

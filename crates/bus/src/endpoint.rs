@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_addresses_and_local_sockets_are_of_this_machine() {
+    fn loopback_addresses_and_local_sockets_belong_to_this_machine() {
         for text in [
             "tcp/127.0.0.1:7447",
             "tcp/127.1.2.3:0",
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn everything_else_reaches_further() {
+    fn all_other_endpoints_are_reachable_from_elsewhere() {
         for text in [
             "tcp/0.0.0.0:7447",
             "tcp/[::]:7447",
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn quic_keeps_the_order_unless_told_otherwise() {
+    fn quic_keeps_the_order_by_default() {
         for (given, expected) in [
             ("quic/10.0.0.5:7447", "quic/10.0.0.5:7447?multistream=0"),
             (

@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_burst_passes_and_what_is_above_it_does_not() {
+    fn burst_passes_up_to_its_limit() {
         let mut gate = FloodGate::default();
         assert_eq!(taken(&mut gate, "a", 30_000, Duration::ZERO), AT_ONCE);
         assert_eq!(gate.take("a", Duration::ZERO), Err(Flooded::TooOften));
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_rate_passes_for_ever_and_a_flood_gets_the_rate() {
+    fn steady_rate_passes_and_a_flood_is_limited_to_the_rate() {
         let mut gate = FloodGate::default();
         for tick in 0..100_u32 {
             let now = Duration::from_millis(10) * tick;
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_closer_than_one_allowance_still_add_up() {
+    fn allowance_accumulates_between_frequent_messages() {
         let mut gate = FloodGate::default();
         taken(&mut gate, "a", AT_ONCE, Duration::ZERO);
         let often = (1..=10_000_u32)
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn keys_are_bounded_and_quiet_ones_give_way() {
+    fn number_of_keys_is_bounded_and_quiet_keys_are_replaced() {
         let mut gate = FloodGate::default();
         for key in 0..MOST_KEYS {
             gate.take(&key.to_string(), Duration::ZERO).unwrap();

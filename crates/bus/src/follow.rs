@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::collections::VecDeque;
 
-use crate::message::{Block, CaughtUp, StreamState};
+use crate::message::{Block, CaughtUp, Header, StreamState};
 use crate::range::QueryRange;
 use crate::ring::Answer;
 
@@ -107,9 +107,22 @@ pub struct FollowCounts {
     pub superseded_blocks: u64,
     /// Number of blocks after a gap that exceeded the buffer and must be fetched again.
     pub unkept_blocks: u64,
-    /// Number of times that received blocks were beyond the end that the source reports.
+    /// Number of times that received blocks were beyond the end that the source reports, or had an
+    /// epoch or term that no source has.
     pub impossible_blocks: u64,
+    /// Number of consecutive blocks of an earlier epoch. Their source still runs, and a higher epoch
+    /// excludes it.
+    pub locked_out_blocks: u64,
 }
+
+/// Latest possible epoch and term. Both are wall-clock times in ns, and this is the year 2262.
+const LAST_EPOCH: u64 = i64::MAX as u64;
+/// Measurement time, ns, and number of blocks that an excluded run of the source must deliver,
+/// without a block of the present run in between, to be read again.
+///
+/// The blocks that a former run has in transit when a new one starts are fewer.
+const READ_AGAIN_AFTER_NS: i64 = 5_000_000_000;
+const READ_AGAIN_AFTER_BLOCKS: u32 = 10;
 
 /// Maximum number of buffered blocks after a gap. Further blocks are fetched again.
 ///
@@ -136,6 +149,12 @@ pub struct Follower<B> {
     /// Highest term of a leader that was received.
     term: u64,
     position: Option<Position>,
+    /// Position in the former epoch, until the source confirms the present one.
+    former: Option<Position>,
+    /// An epoch that the source has denied.
+    denied_epoch: Option<u64>,
+    /// A run of the source that the present epoch or term excludes.
+    excluded: Option<Excluded>,
     held: BTreeMap<u64, B>,
     /// First received block of a later epoch, while items of the current epoch may be missing.
     later: Option<B>,
@@ -154,10 +173,23 @@ struct Fetching {
     seen_end: u64,
     /// Whether a block of a later epoch had been received.
     later: bool,
+    /// Whether the source must confirm the epoch.
+    confirms: bool,
+}
+
+/// Consecutive blocks of a run of the source that are not delivered.
+#[derive(Debug)]
+struct Excluded {
+    source: String,
+    term: u64,
+    epoch: u64,
+    first_ns: i64,
+    next: u64,
+    blocks: u32,
 }
 
 /// Delivered and known extent of the current epoch.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Position {
     epoch: u64,
     source: Option<String>,
@@ -192,6 +224,9 @@ impl<B: Block> Follower<B> {
             patience,
             term: 0,
             position,
+            former: None,
+            denied_epoch: None,
+            excluded: None,
             held: BTreeMap::new(),
             later: None,
             fetch: None,
@@ -210,6 +245,15 @@ impl<B: Block> Follower<B> {
 
     /// Processes a published block.
     pub fn live(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
+        if self.is_of_an_excluded_run(&block) {
+            if !self.outlasts_the_present_run(&block) {
+                return;
+            }
+            self.read_again(&block);
+        } else if block.header().epoch > LAST_EPOCH || block.term() > LAST_EPOCH {
+            self.counts.impossible_blocks += 1;
+            return;
+        }
         if self.patience == Patience::UntilAnswered && self.leaves_the_epoch(&block) {
             match self.later {
                 Some(_) => self.counts.unkept_blocks += 1,
@@ -219,8 +263,77 @@ impl<B: Block> Follower<B> {
             return self.fetch_if_missing(actions);
         }
         if self.enter_epoch(&block, actions) {
+            self.excluded = None;
             self.accept(block, actions);
             self.fetch_if_missing(actions);
+        }
+    }
+
+    /// Returns `true` if a block belongs to a run of the source that the present one excludes.
+    fn is_of_an_excluded_run(&self, block: &B) -> bool {
+        let epoch = block.header().epoch;
+        let has_earlier_epoch = self.position.as_ref().is_some_and(|p| epoch < p.epoch);
+        block.term() < self.term
+            || self.patience == Patience::Limited
+                && (has_earlier_epoch || self.denied_epoch == Some(epoch))
+    }
+
+    /// Returns `true` if an excluded run has delivered long enough while the present one was silent.
+    /// Otherwise counts the block.
+    fn outlasts_the_present_run(&mut self, block: &B) -> bool {
+        let header = block.header();
+        let (term, epoch) = (block.term(), header.epoch);
+        let excluded = self.excluded.take_if(|run| {
+            (run.term, run.epoch) == (term, epoch)
+                && run.source == header.source
+                && run.next <= header.sequence
+        });
+        let continues = excluded.is_some();
+        let mut run = excluded.unwrap_or_else(|| Excluded {
+            source: header.source.clone(),
+            term,
+            epoch,
+            first_ns: header.time_ns,
+            next: 0,
+            blocks: 0,
+        });
+        run.next = block.end();
+        run.blocks += 1;
+        let lasted_ns = header.time_ns.saturating_sub(run.first_ns);
+        if run.blocks >= READ_AGAIN_AFTER_BLOCKS && lasted_ns >= READ_AGAIN_AFTER_NS {
+            return true;
+        }
+        self.excluded = Some(run);
+        let count = match (term < self.term, self.denied_epoch == Some(epoch)) {
+            (true, _) => &mut self.counts.superseded_blocks,
+            (false, true) => &mut self.counts.impossible_blocks,
+            (false, false) if continues => &mut self.counts.locked_out_blocks,
+            (false, false) => &mut self.counts.stale_blocks,
+        };
+        *count += 1;
+        false
+    }
+
+    /// Reads an excluded run from this block on. If only the term excluded it, the stream continues
+    /// where it was.
+    fn read_again(&mut self, block: &B) {
+        let Header {
+            source,
+            epoch,
+            sequence,
+            ..
+        } = block.header().clone();
+        self.term = block.term();
+        self.denied_epoch = None;
+        self.has_answered();
+        match &mut self.position {
+            Some(position) if position.epoch == epoch => position.source = None,
+            Some(_) if self.patience == Patience::Limited => {
+                self.former = None;
+                self.held.clear();
+                self.position = Some(Position::new(epoch, Some(source), sequence));
+            }
+            _ => {}
         }
     }
 
@@ -273,10 +386,19 @@ impl<B: Block> Follower<B> {
     }
 
     fn answered_with(&mut self, block: B, actions: &mut VecDeque<Action<B>>) {
-        let asked_after = self.fetch.map(|fetch| fetch.after);
-        if !self.enter_epoch(&block, actions) {
-            return self.unanswered(Silence::Denied, actions);
+        if self.is_denied_by(block.header().epoch) {
+            return self.return_to_the_former_epoch(actions);
         }
+        let asked_after = self.fetch.map(|fetch| fetch.after);
+        // A superseded leader cannot deny what its successor has.
+        let silence = match block.term() < self.term {
+            true => Silence::NoAnswer,
+            false => Silence::Denied,
+        };
+        if !self.enter_epoch(&block, actions) {
+            return self.unanswered(silence, actions);
+        }
+        self.former = None;
         let before = self.counts.delivered_items;
         self.deliver_up_to(block.header().sequence, actions);
         let stands_still = |follower: &Self| {
@@ -310,12 +432,17 @@ impl<B: Block> Follower<B> {
             self.fetch = None;
             return;
         };
+        if self.is_denied_by(at.header.epoch) {
+            return self.return_to_the_former_epoch(actions);
+        }
         if at.header.epoch < position.epoch {
             self.counts.stale_blocks += 1;
             return self.unanswered(Silence::Denied, actions);
         }
+        self.former = None;
         if at.header.epoch > position.epoch {
             self.change_epoch(at.header.epoch, at.header.source.clone(), actions);
+            self.former = None;
         } else if self.lacks_items()
             && self
                 .fetch
@@ -334,6 +461,23 @@ impl<B: Block> Follower<B> {
         }
         self.fetch = None;
         self.has_answered();
+    }
+
+    /// Returns `true` if a reply shows that the source has never begun the present epoch.
+    fn is_denied_by(&self, epoch: u64) -> bool {
+        let former = self.former.as_ref();
+        self.fetch.is_some_and(|fetch| fetch.confirms)
+            && former.is_some_and(|former| former.epoch == epoch)
+    }
+
+    /// Drops the present epoch, which the source has denied.
+    fn return_to_the_former_epoch(&mut self, actions: &mut VecDeque<Action<B>>) {
+        self.counts.impossible_blocks += 1;
+        self.denied_epoch = self.position.take().map(|position| position.epoch);
+        self.position = self.former.take();
+        self.held.clear();
+        self.has_answered();
+        self.request(actions);
     }
 
     /// Drops blocks beyond the end that the source reports. The source never published them.
@@ -401,7 +545,11 @@ impl<B: Block> Follower<B> {
         }
         self.held.clear();
         self.has_answered();
-        self.position = Some(Position::new(epoch, Some(source), 0));
+        let before = self.position.replace(Position::new(epoch, Some(source), 0));
+        if self.patience == Patience::Limited {
+            // A reply must confirm the new epoch. Its blocks do not wait for that.
+            self.former = self.former.take().or(before);
+        }
         if let Some(later) = self.later.take_if(|later| later.header().epoch <= epoch)
             && later.header().epoch == epoch
         {
@@ -425,7 +573,7 @@ impl<B: Block> Follower<B> {
 
     /// Returns `true` if there is a reason to fetch: missing items, or the rest of an epoch.
     fn is_missing(&self) -> bool {
-        self.later.is_some() || self.lacks_items()
+        self.later.is_some() || self.former.is_some() || self.lacks_items()
     }
 
     fn lacks_items(&self) -> bool {
@@ -514,6 +662,8 @@ impl<B: Block> Follower<B> {
             }
             return;
         }
+        // Nobody confirms the epoch, as for a source that stores nothing.
+        self.former = None;
         let ahead = self.held.first_key_value().map(|(sequence, _)| *sequence);
         let seen_end = self.position.as_ref().map_or(0, |p| p.seen_end);
         self.deliver_up_to(ahead.unwrap_or(seen_end), actions);
@@ -537,6 +687,7 @@ impl<B: Block> Follower<B> {
             after,
             seen_end,
             later: self.later.is_some(),
+            confirms: self.former.is_some(),
         });
         actions.push_back(Action::Fetch {
             range: QueryRange {

@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn third_of_a_nanosecond_does_not_add_up() {
+    fn fractions_of_a_nanosecond_do_not_accumulate() {
         let grid = TimeGrid::new(1_000, 120.0).unwrap();
         assert_eq!(grid.time_ns(0), 1_000);
         assert_eq!(grid.time_ns(1), 1_000 + 8_333_333);
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn half_way_belongs_to_the_earlier_item() {
+    fn midpoint_belongs_to_the_earlier_item() {
         let grid = TimeGrid::new(0, 100.0).unwrap();
         for nanosecond in -1..=1 {
             assert_eq!(grid.nearest(5_000_000 + nanosecond), 0);
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_that_are_none_are_refused() {
+    fn invalid_rates_are_rejected() {
         for rate in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e7, 1e-9] {
             assert_eq!(TimeGrid::new(0, rate), None);
         }

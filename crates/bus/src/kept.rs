@@ -221,7 +221,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn blocks_come_back_as_they_were_put_whatever_is_forgotten(
+        fn stored_blocks_are_returned_unchanged_whichever_are_dropped(
             steps in prop::collection::vec((0_u8..8, 0_u64..7, prop_oneof![1_usize..300, 1_usize..6_000]), 1..400),
         ) {
             let start = Instant::now();

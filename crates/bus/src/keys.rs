@@ -200,6 +200,18 @@ impl Keys {
         self.all(KeyFamily::SensorHealth)
     }
 
+    /// Returns the key of one condition.
+    #[must_use]
+    pub fn condition(&self, name: &Name) -> String {
+        self.key(KeyFamily::Condition, name)
+    }
+
+    /// Returns the key expression of all conditions.
+    #[must_use]
+    pub fn all_conditions(&self) -> String {
+        self.all(KeyFamily::Condition)
+    }
+
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
@@ -441,6 +453,8 @@ pub enum KeyFamily {
     Outlier,
     /// [`Keys::sensor_health`], one per node
     SensorHealth,
+    /// [`Keys::condition`], one per condition
+    Condition,
     /// [`Keys::event`]
     Event,
     /// [`Keys::alert`], one per parameter
@@ -480,7 +494,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 28] = [
+    const WITHOUT_SERVICE: [Self; 29] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -498,6 +512,7 @@ impl KeyFamily {
         Self::Node,
         Self::Outlier,
         Self::SensorHealth,
+        Self::Condition,
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
@@ -533,6 +548,7 @@ impl KeyFamily {
             Self::Node => "node/{of}",
             Self::Outlier => "outlier/{of}",
             Self::SensorHealth => "sensor/{of}/health",
+            Self::Condition => "condition/{of}",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
@@ -706,6 +722,8 @@ mod tests {
                 "spandrel/tower/sensor/storey-1/health",
             ),
             (keys.all_sensor_health(), "spandrel/tower/sensor/*/health"),
+            (keys.condition(&n), "spandrel/tower/condition/storey-1"),
+            (keys.all_conditions(), "spandrel/tower/condition/*"),
             (keys.event(), "spandrel/tower/event"),
             (keys.all_alerts(), "spandrel/tower/alert/*"),
             (
@@ -782,7 +800,7 @@ mod tests {
     }
 
     #[test]
-    fn foreign_keys_are_not_ours() {
+    fn foreign_keys_are_not_parsed() {
         let root = Name::new("spandrel").unwrap();
         for key in ["spandrel", "spandrel/tower", "other/tower/frames", ""] {
             assert_eq!(parse_key(&root, key), None, "{key}");

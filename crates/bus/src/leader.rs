@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn the_highest_term_leads_and_of_equal_terms_the_last_name() {
+    fn highest_term_leads_and_then_the_last_name() {
         let of = |claims: &[Claim]| {
             leading(
                 &claims
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_is_what_its_key_says_and_other_keys_are_none() {
+    fn claim_is_read_back_from_its_key_and_not_from_other_keys() {
         let highest = claim(u64::MAX, &"f".repeat(32));
         assert_eq!(
             Claim::from_key(&highest.key(&keys()).unwrap()),

@@ -261,7 +261,7 @@ mod tests {
     use super::Presence;
 
     #[test]
-    fn a_token_that_comes_after_it_has_gone_is_doubted_once() {
+    fn token_that_appears_after_its_removal_is_verified_once() {
         let mut presence = Presence::default();
         assert!(!presence.comes("one"));
         presence.goes("one");

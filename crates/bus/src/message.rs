@@ -5,6 +5,7 @@ mod alert;
 mod block;
 mod bounded;
 mod caught_up;
+mod condition;
 mod description;
 mod estimates;
 mod event;
@@ -38,6 +39,7 @@ pub use acknowledgement::Acknowledgement;
 pub use alert::{AlertMessage, AlertState};
 pub use block::{Block, StreamState};
 pub use caught_up::CaughtUp;
+pub use condition::ConditionDisplay;
 pub use description::Description;
 pub use estimates::{Estimate, EstimateBlock, EstimateFlags, Excluded, Phase};
 pub use event::{Event, EventKind};
@@ -246,6 +248,12 @@ pub enum Malformed {
         /// Maximum.
         high: f64,
     },
+    /// A unit of a condition is unknown.
+    #[error("unit is {found:?}, must be one of {}", units())]
+    Unit {
+        /// Unit found.
+        found: String,
+    },
     /// A text is too long.
     #[error("{what} has {found} bytes, must have at most {most}")]
     Text {
@@ -351,6 +359,11 @@ impl DecodeError {
             None => self.to_string(),
         }
     }
+}
+
+/// Returns the units of conditions as a list for people.
+fn units() -> String {
+    ConditionDisplay::units().collect::<Vec<_>>().join(", ")
 }
 
 fn check_count(

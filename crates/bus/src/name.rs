@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn what_zenoh_would_read_as_a_pattern_is_refused() {
+    fn characters_of_zenoh_patterns_are_rejected() {
         for text in ["a/b", "*", "**", "@a", "a$*", "a?b", "a#", "A", "ä", "a b"] {
             assert!(matches!(Name::new(text), Err(NameError::Character { .. })));
         }

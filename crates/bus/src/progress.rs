@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_change_in_four_is_told_and_every_great_step() {
+    fn every_fourth_change_and_every_large_step_is_published() {
         let progress = |epoch, done| Progress {
             header: Header {
                 source: "ingest".into(),

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn plain_tcp_beyond_this_machine_is_refused_by_name() {
+    fn error_names_an_unprotected_endpoint_beyond_this_machine() {
         for endpoint in ["tcp/0.0.0.0:7447", "udp/10.0.0.5:1", "tcp/[::]:7447"] {
             let error = checked(&router(endpoint, "")).unwrap_err();
             assert!(
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_reached_from_elsewhere_needs_the_certificate_of_the_other_side() {
+    fn endpoints_beyond_this_machine_require_client_certificates() {
         for (endpoint, tls) in [
             ("quic/0.0.0.0:7447", ""),
             ("quic/0.0.0.0:7447", "enable_mtls: true"),
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_does_not_say_is_no_open_door() {
+    fn omitted_settings_open_no_unprotected_endpoint() {
         let quiet = "scouting: {multicast: {enabled: false}}";
         assert_eq!(checked(&format!("{{{quiet}}}")).unwrap(), [ANY_LOCAL_PORT]);
         let error = checked(&format!("{{mode: \"router\", {quiet}}}")).unwrap_err();
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn endpoints_of_the_mode_count_in_both_spellings() {
+    fn endpoints_per_mode_are_checked_for_the_chosen_mode() {
         let by_mode = "{mode: \"router\", scouting: {multicast: {enabled: false}}, \
                        listen: {endpoints: {router: [\"tcp/10.0.0.5:1\"], peer: [\"tcp/127.0.0.1:0\"]}}}";
         assert!(matches!(
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn tls_over_tcp_is_refused_and_what_to_use_is_told() {
+    fn tls_over_tcp_is_rejected_with_a_hint() {
         let certificates = "enable_mtls: true, root_ca_certificate: \"a.pem\"";
         let error = checked(&router("tls/127.0.0.1:7447", certificates)).unwrap_err();
         assert!(

@@ -17,6 +17,7 @@ use crate::archive::{Archive, Lookup};
 use crate::error::BusError;
 use crate::message::{Block, CaughtUp, Message, StreamState};
 use crate::range::QueryRange;
+use crate::refusals::QueryRefusals;
 use crate::ring::{Answer, Keep, Ring};
 use crate::session::Bus;
 
@@ -58,12 +59,13 @@ pub struct Older<B> {
 pub struct NumberedPublisher<B> {
     publisher: Publisher<'static>,
     ring: Arc<Mutex<Ring<B>>>,
-    _answering: Answering,
+    answering: Answering,
 }
 
 /// Replies to queries until it is dropped.
 #[derive(Debug)]
 struct Answering {
+    refusals: QueryRefusals,
     _queryable: Queryable<()>,
     _tasks: JoinSet<()>,
 }
@@ -115,7 +117,7 @@ impl Bus {
         Ok(NumberedPublisher {
             publisher,
             ring,
-            _answering: answering,
+            answering,
         })
     }
 
@@ -156,8 +158,10 @@ impl Bus {
         let (queries, waiting) = flume::bounded(QUERIES_WAITING);
         let queryable = declare_queryable(self.session(), buffer_key, queries).await?;
         let mut tasks = JoinSet::new();
-        tasks.spawn(answer_queries(ring, older, waiting));
+        let refusals = QueryRefusals::default();
+        tasks.spawn(answer_queries(ring, older, waiting, refusals.clone()));
         Ok(Answering {
+            refusals,
             _queryable: queryable,
             _tasks: tasks,
         })
@@ -264,6 +268,12 @@ impl<B: Block> NumberedPublisher<B> {
         lock(&self.ring).release(epoch, first);
     }
 
+    /// Returns the number of rejected queries for stored items.
+    #[must_use]
+    pub fn refused_queries(&self) -> u64 {
+        self.answering.refusals.total()
+    }
+
     /// Removes the items from number `first` on. The source continues there and publishes them
     /// again.
     pub fn take_back(&self, first: u64) {
@@ -352,7 +362,7 @@ impl<B: Block> NumberedStandby<B> {
         Ok(NumberedPublisher {
             publisher,
             ring,
-            _answering: answering,
+            answering,
         })
     }
 }
@@ -379,12 +389,13 @@ async fn answer_queries<B: Block>(
     ring: Arc<Mutex<Ring<B>>>,
     older: Option<Older<B>>,
     queries: flume::Receiver<Query>,
+    refusals: QueryRefusals,
 ) {
     while let Ok(query) = queries.recv_async().await {
         let range: QueryRange = match query.parameters().as_str().parse() {
             Ok(range) => range,
             Err(error) => {
-                warn!(key = %query.key_expr(), %error, "query rejected");
+                refusals.add(query.key_expr().as_str(), &error.to_string());
                 let _ = query.reply_err(error.to_string()).await; // the client may be gone
                 continue;
             }

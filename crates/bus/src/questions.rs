@@ -7,6 +7,7 @@ use zenoh::query::{Query, Queryable};
 use crate::BoxedFuture;
 use crate::error::BusError;
 use crate::message::Message;
+use crate::refusals::QueryRefusals;
 use crate::session::Bus;
 
 /// Queue of the queries on a key expression, in order of arrival. If it is full, a further query is
@@ -14,6 +15,7 @@ use crate::session::Bus;
 #[derive(Debug)]
 pub struct Questions {
     queries: flume::Receiver<Query>,
+    refusals: QueryRefusals,
     _queryable: Queryable<()>,
 }
 
@@ -21,6 +23,7 @@ pub struct Questions {
 #[derive(Debug)]
 pub struct Question {
     query: Query,
+    refusals: QueryRefusals,
 }
 
 impl Bus {
@@ -39,6 +42,7 @@ impl Bus {
                 crate::publish::declare_queryable(self.session(), key_expression, sender).await?;
             Ok(Questions {
                 queries,
+                refusals: QueryRefusals::default(),
                 _queryable: queryable,
             })
         })
@@ -49,7 +53,8 @@ impl Questions {
     /// Waits for the next query. The wait is cancel-safe. Returns `None` if the session is closed.
     pub async fn next(&self) -> Option<Question> {
         let query = self.queries.recv_async().await.ok()?;
-        Some(Question { query })
+        let refusals = self.refusals.clone();
+        Some(Question { query, refusals })
     }
 }
 
@@ -85,6 +90,13 @@ impl Question {
             debug!(key, %error, "reply not sent");
         }
         Ok(())
+    }
+
+    /// Replies to an invalid query with an error, and counts the query. The rate of its log lines is
+    /// limited.
+    pub async fn reject(&self, why: &str) {
+        self.refusals.add(self.key_expression(), why);
+        self.refuse(why).await;
     }
 
     /// Replies with an error and its reason.

@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn written_query_is_parsed_back() {
         for epoch in [None, Some(u64::MAX)] {
             let range = QueryRange {
                 after: 7,
@@ -91,13 +91,13 @@ mod tests {
     }
 
     #[test]
-    fn nothing_asked_is_the_first_thousand() {
+    fn empty_query_requests_the_first_thousand_items() {
         let range: QueryRange = "".parse().unwrap();
         assert_eq!((range.after, range.limit, range.epoch), (0, 1000, None));
     }
 
     #[test]
-    fn what_is_no_number_is_named() {
+    fn error_names_a_value_that_is_not_a_number() {
         let error = "after=-1".parse::<QueryRange>().unwrap_err();
         assert_eq!(error.key, "after");
         assert!(error.to_string().contains("\"-1\""));

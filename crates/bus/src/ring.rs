@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_joins_blocks_up_to_the_limit() {
+    fn reply_joins_blocks_up_to_the_limit() {
         let ring = ring(100, &[3, 4, 5]);
         assert_eq!(numbers(ring.answer(&range(1, 100))), (1, 12));
         assert_eq!(numbers(ring.answer(&range(1, 4))), (1, 5));
@@ -341,19 +341,19 @@ mod tests {
     }
 
     #[test]
-    fn what_is_forgotten_is_answered_with_the_oldest_left() {
+    fn query_for_dropped_items_returns_the_oldest_remaining_block() {
         let ring = ring(5, &[3, 3, 3]);
         assert_eq!(numbers(ring.answer(&range(0, 1))), (3, 4));
     }
 
     #[test]
-    fn the_last_items_asked_for_are_always_kept() {
+    fn ring_keeps_at_least_its_capacity() {
         let ring = ring(5, &[2, 2, 2, 2]);
         assert_eq!(numbers(ring.answer(&range(3, 1))), (3, 4));
     }
 
     #[test]
-    fn what_is_taken_back_is_put_again() {
+    fn withdrawn_items_can_be_stored_again() {
         let mut ring = ring(100, &[3, 4, 5]);
         ring.take_back(5);
         assert_eq!(
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_old_is_forgotten_but_for_the_last_items() {
+    fn old_items_are_dropped_except_the_last() {
         let forget = Forget {
             at_least: 4,
             after: Duration::from_secs(30),
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_needed_stays_longer_than_what_was_released() {
+    fn needed_items_are_kept_longer_than_released_items() {
         let keep = Keep {
             needed: Some(Forget {
                 at_least: 40,
@@ -451,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_full_forgets_also_what_is_needed() {
+    fn full_ring_drops_needed_items_too() {
         let keep = Keep {
             released: Some(Forget {
                 at_least: 0,
@@ -468,7 +468,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_everything_is_told_so() {
+    fn reader_with_all_items_receives_caught_up() {
         assert!(matches!(
             ring(5, &[3]).answer(&range(3, 9)),
             Answer::CaughtUp(CaughtUp {
@@ -484,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_everything_is_told_that_it_has_ended() {
+    fn reader_with_all_items_receives_the_end() {
         let mut ring = ring(5, &[3]);
         let mut last = frames(1, 3, 1);
         last.state = StreamState::Ended;
@@ -505,7 +505,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_that_goes_on_expects_the_next_item_and_says_where_it_is() {
+    fn resumed_ring_accepts_the_next_item_and_replies_with_its_position() {
         let mut ring =
             Ring::new("source".into(), 1, Keep::last(5)).going_on(7, StreamState::Running);
         assert_eq!(
@@ -521,7 +521,7 @@ mod tests {
     }
 
     #[test]
-    fn an_asker_in_another_epoch_gets_the_oldest() {
+    fn query_of_another_epoch_returns_the_oldest_items() {
         let other = QueryRange {
             epoch: Some(7),
             ..range(2, 9)

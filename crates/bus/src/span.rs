@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn written_query_is_parsed_back() {
         let query = SpanQuery {
             from_ns: 1_500_000_000,
             to_ns: 86_400_000_000_000,
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_seconds_or_of_the_calendar() {
+    fn times_are_seconds_or_dates() {
         let noon = Some(1_709_208_000_000_000_000);
         for text in [
             "1709208000",
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_span_is_refused_with_what_is_one() {
+    fn invalid_span_is_rejected_with_the_allowed_form() {
         for (text, key) in [
             ("from=yesterday", "from"),
             ("to=NaN", "to"),

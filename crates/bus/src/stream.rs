@@ -107,6 +107,7 @@ impl StreamCounts {
             ("superseded-blocks", follow.superseded_blocks),
             ("unkept-blocks", follow.unkept_blocks),
             ("impossible-blocks", follow.impossible_blocks),
+            ("locked-out-blocks", follow.locked_out_blocks),
             ("overflowed-messages", self.overflowed),
             ("flooded-messages", self.flooded),
         ];

@@ -415,7 +415,7 @@ async fn a_restarted_source_starts_a_new_epoch() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn tokens_come_and_go() {
+async fn tokens_appear_and_disappear() {
     let (first, second) = pair().await;
     let id = "one".parse().unwrap();
     let all = keys().all_live(Service::Ingest);

@@ -12,9 +12,9 @@
 
 use proptest::prelude::*;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, Description, Estimate,
-    EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, Header,
-    HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
+    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, ConditionDisplay, Description,
+    Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
+    Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
     Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers,
     NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress,
     SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
@@ -228,6 +228,10 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"channels\":[{\"channel\":\"roof-x\",\"state\":\"faulty\",\
              \"probability\":0.999,\"fault\":\"gain\",\"gain\":0.7,\"delay_s\":0.001,\"coherence\":0.98}]}",
         ),
+        text::<ConditionDisplay>(
+            "{\"structure\":\"demo\",\"name\":\"deck-temperature\",\"time_ns\":5,\"value\":-3.5,\"unit\":\"degC\",\
+             \"interval_s\":600.0,\"instrument\":\"Pt100 in the deck\"}",
+        ),
         text::<ModelClassDisplay>(
             "{\"structure\":\"demo\",\"time_ns\":5,\"classes\":[{\"class\":\"baseline\",\"plausibility\":0.8},\
              {\"class\":\"soft\",\"plausibility\":0.2}],\"leading\":\"baseline\",\"believed\":\"baseline\",\"calibrations\":1,\
@@ -431,7 +435,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, ..ProptestConfig::default() })]
 
     #[test]
-    fn damaged_messages_give_an_error_or_a_sound_message(
+    fn damaged_messages_give_an_error_or_a_valid_message(
         which in 0usize..27,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
@@ -441,7 +445,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_sound_message(from in 0usize..27, to in 0usize..27) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..27, to in 0usize..27) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);
@@ -460,7 +464,7 @@ fn a_claimed_length_reserves_no_memory() {
 }
 
 #[test]
-fn the_largest_message_needs_no_more_memory_than_its_content() {
+fn largest_message_needs_no_more_memory_than_its_content() {
     // As many minimal items as possible: zeros decode as absent options, empty lists and small
     // numbers.
     for (name, bytes, decode) in messages() {

@@ -112,7 +112,7 @@ fn null_is_a_missing_sample() {
 }
 
 #[test]
-fn the_end_of_a_stream_needs_no_sample_but_the_channels() {
+fn end_of_a_stream_requires_only_the_number_of_channels() {
     let end = decode(&with(r#""channels":2,"samples":[],"state":"ended""#)).unwrap();
     assert_eq!((end.channels, end.state), (2, StreamState::Ended));
     let refused = with(r#""samples":[],"state":"ended""#);
@@ -149,7 +149,7 @@ fn frames_are_not_accepted_as_json() {
 }
 
 #[test]
-fn malformed_samples_are_refused_with_what_is_wrong() {
+fn error_names_the_defect_of_malformed_samples() {
     let refused = [
         (
             r#""samples":[[1,2],[3]]"#,
@@ -235,7 +235,7 @@ fn an_infinite_sample_is_not_written_as_a_missing_one() {
 }
 
 #[test]
-fn the_reply_that_there_is_nothing_more_may_be_json() {
+fn caught_up_reply_may_be_json() {
     let text = r#"{"source":"roof","epoch":3,"sequence":44}"#;
     let at = CaughtUp {
         header: Header {

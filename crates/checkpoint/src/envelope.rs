@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_and_nothing_else() {
+    fn only_a_matching_checkpoint_is_read() {
         let state = vec![1.5_f64, f64::NAN, -0.0];
         let bytes = seal(&identity(), &state).unwrap();
         let bits = |values: &[f64]| {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_and_a_changed_bit_are_seen_wherever_they_are() {
+    fn truncation_and_bit_errors_are_detected_at_every_position() {
         let bytes = seal(&identity(), &vec![7_u64; 20]).unwrap();
         for length in 0..bytes.len() {
             assert!(
@@ -212,7 +212,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn no_bytes_make_it_panic(bytes: Vec<u8>) {
+        fn arbitrary_bytes_give_an_error(bytes: Vec<u8>) {
             let mut with_magic = MAGIC.to_vec();
             with_magic.extend(&bytes);
             proptest::prop_assert!(open::<Vec<u64>>(&identity(), &bytes).is_err());

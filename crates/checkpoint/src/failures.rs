@@ -48,7 +48,7 @@ mod tests {
     /// The second row must start at its own first failure. Powers of two of the total count would
     /// hide its start.
     #[test]
-    fn each_row_of_failures_is_told_from_its_first_one_on_and_when_it_is_over() {
+    fn each_series_of_failures_is_reported_at_its_first_failure_and_its_end() {
         let mut failures = Failures::default();
         assert_eq!((failures.succeeded(), failures.drops()), (None, None));
         let told: Vec<bool> = (0..5).map(|_| failures.failed()).collect();

@@ -86,6 +86,18 @@ impl Keeper {
         }));
     }
 
+    /// Reports the result of a finished save, and a folder that is gone. Call it every second, so
+    /// that a failure does not wait for the next save.
+    pub async fn look(&mut self) {
+        if self.saving.as_ref().is_some_and(JoinHandle::is_finished) {
+            self.finish().await;
+        }
+        let is_new = self.saving.is_none() && self.failures.consecutive() == 0;
+        if is_new && !self.checkpoints.has_folder() && self.failures.failed() {
+            warn!("the folder of the checkpoints is gone; a crash now would lose more results");
+        }
+    }
+
     /// Waits until the current save has finished, and logs its result.
     pub async fn finish(&mut self) {
         let Some(saving) = self.saving.take() else {
@@ -132,7 +144,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_last_two_states_are_on_the_disk() {
+    async fn last_two_states_are_on_disk() {
         let folder = tempfile::tempdir().unwrap();
         let mut keeper = keeper(folder.path(), Duration::ZERO);
         for sequence in 1..=3_u64 {
@@ -148,7 +160,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn nothing_is_due_before_its_time() {
+    async fn no_checkpoint_is_due_before_its_interval() {
         let folder = tempfile::tempdir().unwrap();
         let mut keeper = keeper(folder.path(), Duration::from_secs(3600));
         assert!(!keeper.is_due());
@@ -157,8 +169,49 @@ mod tests {
         assert!(!keeper.is_due());
     }
 
+    /// Regression: a service that had nothing to save did not notice that its folder was gone.
     #[tokio::test]
-    async fn a_state_that_cannot_be_kept_leaves_the_one_before_it() {
+    async fn a_folder_that_is_gone_is_noticed_without_a_save_and_used_again_when_it_is_back() {
+        let state = tempfile::tempdir().unwrap();
+        let folder = state.path().join("spandrel/tower/checkpoints");
+        let mut keeper = keeper(&folder, Duration::ZERO);
+        keeper.keep(at(1), 1_u64, None).await;
+        keeper.finish().await;
+        keeper.look().await;
+        assert_eq!(keeper.failures().consecutive(), 0);
+        let away = state.path().join("away");
+        std::fs::rename(state.path().join("spandrel"), &away).unwrap();
+        for _ in 0..3 {
+            keeper.look().await;
+        }
+        assert_eq!(keeper.failures().consecutive(), 1);
+        keeper.keep(at(2), 2_u64, None).await;
+        keeper.finish().await;
+        assert_eq!(keeper.failures().consecutive(), 2);
+        assert!(!folder.exists(), "a new folder would hide the former one");
+        std::fs::rename(&away, state.path().join("spandrel")).unwrap();
+        keeper.keep(at(3), 3_u64, None).await;
+        keeper.finish().await;
+        assert_eq!(keeper.failures().consecutive(), 0);
+        assert_eq!(keeper.checkpoints().places().unwrap(), [at(1), at(3)]);
+    }
+
+    #[tokio::test]
+    async fn folder_and_checkpoint_are_for_their_owner_alone() {
+        use std::os::unix::fs::MetadataExt as _;
+        let state = tempfile::tempdir().unwrap();
+        let folder = state.path().join("checkpoints");
+        let mut keeper = keeper(&folder, Duration::ZERO);
+        keeper.keep(at(1), 1_u64, None).await;
+        keeper.finish().await;
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().mode() & 0o777;
+        assert_eq!(mode(&folder), 0o700);
+        let file = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
+        assert_eq!(mode(&file.path()), 0o600);
+    }
+
+    #[tokio::test]
+    async fn failed_save_keeps_the_previous_state() {
         let folder = tempfile::tempdir().unwrap();
         let mut keeper = keeper(&folder.path().join("below"), Duration::ZERO);
         keeper.keep(at(1), 1_u64, None).await;

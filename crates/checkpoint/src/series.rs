@@ -4,8 +4,9 @@ use crate::envelope::Identity;
 use crate::error::{CheckpointError, Refusal};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Display;
-use std::fs::{self, File};
+use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tracing::{info, warn};
@@ -18,6 +19,10 @@ const SET_ASIDE: &str = "refused";
 const MAX_BYTES: u64 = 1 << 30;
 /// Maximum number of files kept, so that a permanently absent reader cannot fill the disk.
 const MOST_KEPT: usize = 64;
+
+/// Permissions of a new folder and of a checkpoint. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
+const FILE_MODE: u32 = 0o600;
 
 /// A position in a numbered stream: the first item that is not part of the state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -64,7 +69,7 @@ impl Checkpoints {
             path: folder.to_owned(),
             reason,
         };
-        fs::create_dir_all(folder).map_err(failed)?;
+        create_folder(folder).map_err(failed)?;
         let checkpoints = Self {
             folder: folder.to_owned(),
             identity,
@@ -74,13 +79,28 @@ impl Checkpoints {
         Ok(checkpoints)
     }
 
+    /// Returns `true` if the folder is at its path. It may have been moved or deleted, or its disk
+    /// may be away.
+    #[must_use]
+    pub fn has_folder(&self) -> bool {
+        self.folder.is_dir()
+    }
+
     /// Saves a state. On return, the state is synced to disk.
+    ///
+    /// A missing folder is created if one of the two folders above it exists. If both are missing,
+    /// the whole state is away, and a new folder would hide it.
     ///
     /// # Errors
     /// The disk is full, or the file system reports another error. Earlier checkpoints remain
     /// intact.
     pub fn save<T: Serialize>(&self, place: Place, state: &T) -> Result<(), CheckpointError> {
         let bytes = self.identity.seal(state)?;
+        let mut above = self.folder.ancestors().skip(1).take(2);
+        if !self.has_folder() && above.any(Path::is_dir) {
+            // If this fails, the write below reports the reason.
+            let _ = create_folder(&self.folder);
+        }
         let path = self.path(place);
         let beside = path.with_extension("new");
         let written = write_whole(&beside, &path, &bytes, &self.folder);
@@ -296,6 +316,13 @@ impl Checkpoints {
     }
 }
 
+fn create_folder(folder: &Path) -> io::Result<()> {
+    DirBuilder::new()
+        .recursive(true)
+        .mode(FOLDER_MODE)
+        .create(folder)
+}
+
 fn write_whole(
     beside: &Path,
     path: &Path,
@@ -309,7 +336,13 @@ fn write_whole(
             reason,
         }
     };
-    let mut file = File::create(beside).map_err(failed("create"))?;
+    let created = OpenOptions::new()
+        .write(true)
+        .create(true)
+        .truncate(true)
+        .mode(FILE_MODE)
+        .open(beside);
+    let mut file = created.map_err(failed("create"))?;
     file.write_all(bytes).map_err(failed("write"))?;
     file.sync_all().map_err(failed("synchronise to disk"))?;
     fs::rename(beside, path).map_err(failed("rename"))?;
@@ -367,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn newest_and_oldest_are_found_in_the_order_of_epochs_and_numbers() {
+    fn newest_and_oldest_checkpoint_are_found_by_epoch_and_number() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(&folder.path().join("not/yet/there"));
         assert_eq!(
@@ -426,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn what_somebody_still_needs_is_kept() {
+    fn needed_checkpoints_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         let kept = |needed: Option<Place>| {
@@ -450,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_away_for_ever_does_not_fill_the_disk() {
+    fn number_of_needed_checkpoints_is_bounded() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         for sequence in 0..70 {
@@ -461,7 +494,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_is_set_aside_and_the_one_before_it_read() {
+    fn damaged_file_is_set_aside_and_the_previous_file_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         checkpoints.save(at(1, 1), &1_u64).unwrap();
@@ -479,7 +512,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_that_is_not_taken_is_set_aside_and_the_one_before_it_taken() {
+    fn rejected_state_is_set_aside_and_the_previous_state_is_used() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
         for sequence in [1, 2, 3] {
@@ -506,7 +539,7 @@ mod tests {
 
     // The product of matrix dimensions may overflow, and the panic must not terminate the service.
     #[test]
-    fn a_state_whose_decoding_panics_is_set_aside_like_a_damaged_one() {
+    fn state_is_set_aside_if_its_decoding_panics() {
         #[derive(Debug, PartialEq)]
         struct Sized(u64);
         impl<'de> serde::Deserialize<'de> for Sized {
@@ -530,7 +563,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_others_and_half_written_ones_are_not_looked_at() {
+    fn foreign_and_incomplete_files_are_ignored() {
         let folder = tempfile::tempdir().unwrap();
         for name in [
             "identify-1.checkpoint",
@@ -545,7 +578,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_cannot_be_made_is_named() {
+    fn error_names_a_folder_that_cannot_be_created() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();

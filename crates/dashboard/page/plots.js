@@ -157,6 +157,25 @@ export function consistencyPlot(points, span) {
   );
 }
 
+/** Creates the plot of a condition, such as a temperature. Each value is a point. */
+export function conditionPlot(condition, points, span) {
+  const name = `condition/${condition.name}`;
+  const of = unit(condition.unit);
+  return new Plot(
+    {
+      title: condition.name,
+      file: `condition-${condition.name}`,
+      unit: of,
+      names: [name],
+      rows: (columns) => columns.get(name) ?? [[], []],
+      series: () => [line(4, { dash: [], width: 1.5, points: { show: true, size: 5 } })],
+      readout: (data, at) => (data[1][at] === null ? "no data" : `${number(data[1][at])} ${of}`),
+    },
+    points,
+    span,
+  );
+}
+
 /** Creates the plot of a channel's outlier screening. */
 export function outlierPlot(channel, points, span) {
   const name = `outlier/${channel}`;

@@ -75,6 +75,7 @@ export class Span {
 /** The points of one structure, as far as the visible plots need them. */
 export class Points {
   #series = new Map();
+  #hasEstimates = false;
 
   constructor(structure, span) {
     this.structure = structure;
@@ -107,7 +108,7 @@ export class Points {
       const late = entry.generation === generation && entry.columns ? after(entry.columns, last) : null;
       entry.columns = this.span.isLive && late ? joined(data, late) : data;
       entry.generation = generation;
-      this.#see(entry);
+      this.#see(name, entry);
     }
     return true;
   }
@@ -119,8 +120,8 @@ export class Points {
       const entry = this.#series.get(name);
       const newest = data[0].at(-1);
       // A new run of measurement may start before the points already shown.
-      if (entry && entry.generation !== null && entry.generation !== generation) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
-      else this.span.newest_s = Math.max(newest, this.span.newest_s ?? -Infinity);
+      if (entry && entry.generation !== null && entry.generation !== generation && !name.startsWith("condition/")) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
+      else this.#advance(name, newest);
       if (!entry?.columns || !this.span.isLive) continue;
       const last = entry.generation === generation ? (entry.columns[0].at(-1) ?? -Infinity) : -Infinity;
       entry.columns = entry.generation === generation ? joined(entry.columns, after(data, last)) : data;
@@ -141,9 +142,21 @@ export class Points {
     return this.#series.get(name);
   }
 
-  #see(entry) {
+  #see(name, entry) {
     const newest = entry.columns[0].at(-1);
-    if (newest !== undefined && this.span.isLive) this.span.newest_s = Math.max(newest, this.span.newest_s ?? -Infinity);
+    if (newest !== undefined && this.span.isLive) this.#advance(name, newest);
+  }
+
+  /**
+   * Moves the newest time. Conditions move it only before the first estimate, because their times
+   * differ from those of a replayed record.
+   */
+  #advance(name, newest_s) {
+    const isCondition = name.startsWith("condition/");
+    if (isCondition && this.#hasEstimates) return;
+    const isFirst = !isCondition && !this.#hasEstimates;
+    this.#hasEstimates ||= !isCondition;
+    this.span.newest_s = isFirst ? newest_s : Math.max(newest_s, this.span.newest_s ?? -Infinity);
   }
 
   #trim(name, entry) {

@@ -5,9 +5,9 @@ import { h, keyed, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { NodeTable } from "./nodes.js";
 import { age, showNow, showStale } from "./overview.js";
-import { classPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
+import { classPlot, conditionPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
 import { LENGTHS, Points, Span } from "./span.js";
-import { FITS, HEALTH, LEVELS, STATES, canBeSeen, compared, duration, fitWord, lag, levelOf, number, offset, percent, place, probability, ratio, sensorName, step, time } from "./words.js";
+import { FITS, HEALTH, LEVELS, canBeSeen, compared, conditionWords, duration, fitWord, lag, number, offset, percent, place, probability, ratio, sensorName, stateOf, step, time } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -117,6 +117,7 @@ export class StructurePage {
       group("outliers", "Outliers"),
       group("innovations", "Innovations", "Observed minus predicted value: minimum and maximum in each interval."),
       group("noise", "Noise levels"),
+      group("conditions", "Conditions", "Slow quantities that instruments measure beside the motion. Each value is a point."),
       h("section", { class: "card", id: "sensors" }, h("h2", {}, "Sensors"), this.sensorList, this.fit),
       h("section", { class: "card" }, h("h2", {}, "Events"), this.noEvents, this.events),
       h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or corrected"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
@@ -124,6 +125,9 @@ export class StructurePage {
     );
     this.nodes = new NodeTable();
     this.groups.nodes.holder.before(this.nodes.element);
+    this.conditionList = h("ul", { class: "sensor-list", id: "conditions" });
+    this.groups.conditions.holder.before(this.conditionList);
+    for (const condition of about.conditions) this.#plot("conditions", condition.name, () => conditionPlot(condition, this.points, this.span));
     for (const parameter of about.parameters) this.#plot("parameters", parameter.name, () => parameterPlot(parameter, standing, this.points, this.span));
   }
 
@@ -204,8 +208,9 @@ export class StructurePage {
     const update = (part, parameter) => {
       const shown = standing.parameters[parameter.name];
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
-      const state = alert ? STATES[alert.state] : null;
-      part.element.dataset.level = alert ? levelOf(alert) : "learning";
+      const state = alert ? stateOf(alert) : null;
+      part.element.dataset.level = state?.level ?? "learning";
+      part.state.title = alert?.unwatched?.why ?? "";
       setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : "– no decision");
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
       setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
@@ -224,7 +229,12 @@ export class StructurePage {
     keyed(this.table, this.about.parameters, (parameter) => parameter.name, make, update);
   }
 
-  #showLists({ events, services, sensors, outliers, nodes, fit }) {
+  #showLists({ events, services, sensors, outliers, nodes, fit, conditions }) {
+    keyed(this.conditionList, conditions, (condition) => condition.name, () => ({ element: h("li") }), (part, condition) => {
+      const { level, text } = conditionWords(condition);
+      part.element.dataset.level = level;
+      setText(part.element, text);
+    });
     this.fit.hidden = !fit;
     if (fit) {
       this.fit.dataset.level = FITS[fit.verdict].level;

@@ -35,6 +35,7 @@ export const HEALTH = {
   alive: { sign: "●", word: "delivers", level: "normal" },
   gone: { sign: "✕", word: "gone", level: "warning" },
   silent: { sign: "✕", word: "silent", level: "warning" },
+  "wrong-clock": { sign: "✕", word: "wrong clock, not used", level: "warning" },
   "in-doubt": { sign: "▲", word: "in doubt", level: "warning" },
   faulty: { sign: "▲", word: "faulty, not used", level: "warning" },
   excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
@@ -53,6 +54,13 @@ export const NODES = {
 /** Returns the level of an alert. An acknowledged alert is not an alarm. */
 export function levelOf(alert) {
   return alert.state === "unconfirmed" && alert.acknowledged_by ? "notice" : STATES[alert.state].level;
+}
+
+/** Returns sign, word and level of a parameter: normal only if damage would be noticed. */
+export function stateOf(alert) {
+  const { sign, word } = STATES[alert.state];
+  if (alert.state === "normal" && alert.unwatched) return { sign: "○", word: alert.unwatched.state, level: "warning" };
+  return { sign, word, level: levelOf(alert) };
 }
 
 /** Returns whether an alert can be acknowledged. */
@@ -197,14 +205,24 @@ export function compared(channel) {
 /** When the node of a sensor samples relative to the frames. */
 export function offset(clock) {
   if (!clock) return "";
+  const difference = clock.difference_s ?? 0;
+  if (difference) return `, its clock is ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? "behind" : "ahead of"} most nodes`;
   const ms = (seconds) => `${(1000 * seconds).toFixed(2)} ms`;
   const jitter = clock.jitter_s > 0 ? `, time stamps vary by ${ms(clock.jitter_s)}` : "";
   return `, samples ${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"} the frames${jitter}`;
 }
 
+/** Returns the level, sign and words of a condition, such as a temperature. */
+export function conditionWords({ name, unit: of, value, age_s, stale, implausible, instrument }) {
+  if (value === null) return { level: "learning", text: `○ ${name}: no value yet` };
+  const fault = stale ? ", the next value is overdue" : implausible ? ", outside its plausible range" : "";
+  const by = instrument ? ` (${instrument})` : "";
+  return { level: fault ? "warning" : "normal", text: `${fault ? "▲" : "●"} ${name}: ${number(value)} ${unit(of)}, ${duration(age_s)} ago${fault}${by}` };
+}
+
 /** Returns a unit with typographic symbols. */
 export function unit(text) {
-  return text.replace("m/s2", "m/s²");
+  return text.replace("m/s2", "m/s²").replace("W/m2", "W/m²").replace("degC", "°C").replace(/^deg$/, "°").replace(/^um$/, "µm").replace("microstrain", "µm/m");
 }
 
 /** Returns the address of a structure's page, optionally with a parameter and a moment. */

@@ -14,6 +14,7 @@ pub(crate) struct About {
     pub(crate) distributed: bool,
     pub(crate) parameters: Vec<AboutParameter>,
     pub(crate) noise: Vec<AboutNoise>,
+    pub(crate) conditions: Vec<AboutCondition>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
     /// Index of each observed channel in the drawing's list of sensors.
@@ -37,6 +38,15 @@ pub(crate) struct AboutNoise {
     pub(crate) name: String,
     /// Unit of the standard deviation.
     pub(crate) unit: &'static str,
+}
+
+/// A condition, such as a temperature.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AboutCondition {
+    pub(crate) name: String,
+    pub(crate) unit: &'static str,
+    /// Lowest and highest plausible value, in the unit.
+    pub(crate) range: Option<(f64, f64)>,
 }
 
 /// An alert rule.
@@ -69,6 +79,12 @@ impl About {
             name: level.name().to_owned(),
             unit: structure.noise_unit(level),
         });
+        let conditions = structure.conditions().iter();
+        let conditions = conditions.map(|condition| AboutCondition {
+            name: condition.name().to_owned(),
+            unit: condition.unit(),
+            range: condition.range(),
+        });
         let rules = structure.alert_rules().iter().map(|rule| AboutRule {
             parameters: rule
                 .parameters
@@ -87,6 +103,7 @@ impl About {
             distributed: structure.fusion().is_some(),
             parameters: parameters.collect(),
             noise: noise.collect(),
+            conditions: conditions.collect(),
             rules: rules.collect(),
             drawing: structure.drawing(),
             observed: structure.observation_channels().to_vec(),

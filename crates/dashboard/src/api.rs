@@ -9,16 +9,15 @@ use crate::metrics::{self, metrics};
 use crate::overview::overview;
 use crate::page::{ASSETS, TRANSPORT_SECURITY, with_headers};
 use crate::server::{Server, now_ns};
+use crate::serving::ClientAddress;
 use crate::store::Store;
 use crate::view::{Standing, changes, standing_alerts};
 use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::{DefaultBodyLimit, Path, Query, Request, State};
-use axum::http::header::{
-    CONTENT_DISPOSITION, CONTENT_TYPE, HOST, ORIGIN, STRICT_TRANSPORT_SECURITY,
-};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
+use axum::extract::{ConnectInfo, DefaultBodyLimit, Path, Query, Request, State};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, STRICT_TRANSPORT_SECURITY};
+use axum::http::{HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::{Next, from_fn, from_fn_with_state, map_response, map_response_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
@@ -26,11 +25,14 @@ use axum::{Extension, Json, Router};
 use serde::Deserialize;
 use serde_json::json;
 use spandrel_bus::{Acknowledgement, AlertState, Name};
+use spandrel_service::Audit;
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
 /// OpenAPI description of this interface.
 const OPENAPI: &str = include_str!("../openapi.json");
+/// Path of the WebSocket.
+pub(crate) const LIVE_DATA_PATH: &str = "/api/live";
 /// Maximum size of a request body (bytes).
 const LARGEST_BODY: usize = 16 * 1024;
 /// Maximum length of a person's name, and of a note (characters).
@@ -60,7 +62,7 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             post(acknowledge),
         ),
         ("/api/alerts", Method::GET, get(alerts)),
-        ("/api/live", Method::GET, get(listen)),
+        (LIVE_DATA_PATH, Method::GET, get(listen)),
         (SESSION_PATH, Method::GET, get(entrance::who)),
         (SESSION_PATH, Method::POST, post(entrance::enter)),
         (SESSION_PATH, Method::DELETE, delete(entrance::leave)),
@@ -140,6 +142,11 @@ impl Mistake {
             allowed: allowed.into(),
         }
     }
+
+    /// Returns what is wrong, without what is permitted.
+    pub(crate) fn what(&self) -> &str {
+        &self.what
+    }
 }
 
 impl IntoResponse for Mistake {
@@ -218,34 +225,12 @@ fn find<'s>(server: &'s Server, name: &str) -> Result<MutexGuard<'s, Store>, Mis
     })
 }
 
-/// Rejects requests from pages of other sites. Browsers send the origin of a request, and scripts
-/// do not.
-pub(crate) fn check_origin(headers: &HeaderMap) -> Result<(), Mistake> {
-    let Some(origin) = headers.get(ORIGIN) else {
-        return Ok(());
-    };
-    let origin = origin
-        .to_str()
-        .ok()
-        .and_then(|origin| origin.split_once("://"))
-        .map(|(_, authority)| authority);
-    let host = headers.get(HOST).and_then(|host| host.to_str().ok());
-    match (origin, host) {
-        (Some(origin), Some(host)) if origin == host => Ok(()),
-        (_, _) => Err(Mistake::new(
-            StatusCode::FORBIDDEN,
-            "the request comes from another site",
-            "must come from this site",
-        )),
-    }
-}
-
 async fn openapi() -> Response {
     ([(CONTENT_TYPE, "application/json")], OPENAPI).into_response()
 }
 
 async fn read_metrics(State(server): Shared) -> Result<Response, Mistake> {
-    let text = metrics(server.stores());
+    let text = metrics(server.stores(), &Audit::of_process().counts());
     let text = text.map_err(|error| {
         Mistake::new(
             StatusCode::INTERNAL_SERVER_ERROR,
@@ -349,11 +334,10 @@ struct Seen {
 async fn acknowledge(
     State(server): Shared,
     Path((structure, parameter)): Path<(String, String)>,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
     visitor: Option<Extension<Visitor>>,
-    headers: HeaderMap,
     seen: Result<Json<Seen>, JsonRejection>,
 ) -> Result<Response, Mistake> {
-    check_origin(&headers)?;
     let Json(Seen { who, note }) = seen?;
     let (who, note) = (who.trim().to_owned(), note.trim().to_owned());
     let refuse =
@@ -403,6 +387,12 @@ async fn acknowledge(
     };
     if let Some(why) = server.cannot_acknowledge() {
         let what = format!("the certificate of this page does not permit acknowledgements: {why}");
+        let person = signed(who, visitor.as_ref());
+        Audit::of_process().refuse(
+            spandrel_service::Refused::Acknowledgement,
+            &format!("{} ({person})", address.0),
+            why,
+        );
         let allowed =
             "must be sent from a page, or from spandrel watch, with a certificate of such a role";
         return Err(Mistake::new(StatusCode::FORBIDDEN, what, allowed));
@@ -483,11 +473,9 @@ async fn listen(
     State(server): Shared,
     wanted: Result<Query<Wanted>, QueryRejection>,
     session: Option<Extension<SessionEnd>>,
-    headers: HeaderMap,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Mistake> {
     let Query(Wanted { structure }) = wanted?;
-    check_origin(&headers)?;
     if let Some(name) = &structure {
         drop(find(&server, name)?);
     }

@@ -5,21 +5,22 @@ use crate::places::{Place, Places};
 use rustls::ServerConfig;
 use rustls::crypto::ring::default_provider;
 use spandrel_bus::read_pair;
+use spandrel_service::{Audit, Refused};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Semaphore, mpsc};
+use tokio::sync::mpsc;
 use tokio::task::JoinSet;
+use tokio::time::Instant;
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 use tokio_util::either::Either;
-use tracing::{debug, warn};
+use tracing::warn;
 
-/// Maximum number of concurrent handshakes. Further connections wait in the queue of the operating
-/// system.
-const MOST_HANDSHAKES: usize = 64;
+/// Capacity of the queue of accepted connections. Further ones wait for their turn.
+const GUESTS_WAITING: usize = 64;
 /// Time limit for a handshake.
 const HANDSHAKE_WITHIN: Duration = Duration::from_secs(10);
 /// Pause after a failure to accept a connection, usually because file descriptors ran out.
@@ -63,8 +64,9 @@ pub(crate) struct Guest {
 
 /// Accepts connections.
 ///
-/// Handshakes run concurrently, so an unfinished handshake does not block other connections. If
-/// there is no free place, the door closes a new connection immediately.
+/// Handshakes run concurrently, so an unfinished handshake does not block other connections. The
+/// number of [`Places`] also limits the number of handshakes. If there is no free place, the door
+/// closes a new connection immediately.
 #[derive(Debug)]
 pub(crate) struct Door {
     guests: mpsc::Receiver<Guest>,
@@ -73,7 +75,7 @@ pub(crate) struct Door {
 
 impl Door {
     pub(crate) fn new(listener: TcpListener, acceptor: Option<TlsAcceptor>) -> Self {
-        let (out, guests) = mpsc::channel(MOST_HANDSHAKES);
+        let (out, guests) = mpsc::channel(GUESTS_WAITING);
         let mut taking = JoinSet::new();
         taking.spawn(take(listener, acceptor, out));
         Self {
@@ -90,7 +92,6 @@ impl Door {
 
 async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::Sender<Guest>) {
     let places = Places::default();
-    let may_shake_hands = Arc::new(Semaphore::new(MOST_HANDSHAKES));
     let mut handshakes = JoinSet::new();
     loop {
         while handshakes.try_join_next().is_some() {}
@@ -102,44 +103,44 @@ async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::S
                 continue;
             }
         };
-        let Some(place) = places.take(address.ip()) else {
+        let Some(place) = places.take(address.ip(), Instant::now()) else {
+            let why = "too many requests in progress; closed the new connection";
+            Audit::of_process().refuse(Refused::Connection, &address.ip().to_string(), why);
             continue;
         };
         let Some(acceptor) = acceptor.clone() else {
-            if out
-                .send(Guest {
-                    stream: Either::Left(stream),
-                    address,
-                    place,
-                })
-                .await
-                .is_err()
-            {
+            let stream = Either::Left(stream);
+            let guest = Guest {
+                stream,
+                address,
+                place,
+            };
+            if out.send(guest).await.is_err() {
                 return;
             }
             continue;
         };
-        let Ok(handshake) = may_shake_hands.clone().acquire_owned().await else {
-            return;
-        };
         let out = out.clone();
         handshakes.spawn(async move {
-            match tokio::time::timeout(HANDSHAKE_WITHIN, acceptor.accept(stream)).await {
+            let must_leave = place.must_leave();
+            let shaken = tokio::select! {
+                shaken = tokio::time::timeout(HANDSHAKE_WITHIN, acceptor.accept(stream)) => shaken,
+                () = must_leave => return, // the audit log has the reason
+            };
+            let why = match shaken {
                 Ok(Ok(stream)) => {
                     let stream = Either::Right(Box::new(stream));
-                    drop(
-                        out.send(Guest {
-                            stream,
-                            address,
-                            place,
-                        })
-                        .await,
-                    );
+                    let guest = Guest {
+                        stream,
+                        address,
+                        place,
+                    };
+                    return drop(out.send(guest).await);
                 }
-                Ok(Err(error)) => debug!(%address, %error, "TLS handshake failed"),
-                Err(_) => debug!(%address, "TLS handshake timed out"),
-            }
-            drop(handshake);
+                Ok(Err(error)) => error.to_string(),
+                Err(_) => format!("no handshake within {} s", HANDSHAKE_WITHIN.as_secs()),
+            };
+            Audit::of_process().refuse(Refused::Handshake, &address.ip().to_string(), &why);
         });
     }
 }

@@ -51,7 +51,7 @@ mod tests {
     use crate::testing::{demo, present};
 
     #[test]
-    fn a_structure_is_ready_with_all_services_of_either_kind() {
+    fn structure_is_ready_with_all_services_of_one_arrangement() {
         let ready = |services: &[Service]| {
             let mut store = demo();
             let services: Vec<_> = services.iter().map(|service| (*service, "one")).collect();

@@ -278,7 +278,7 @@ impl Span {
                 ],
                 // the history does not store the other columns
                 Kind::Outlier | Kind::Node => vec![rows.largest[row]],
-                Kind::Class => vec![rows.mean[row]],
+                Kind::Class | Kind::Condition => vec![rows.mean[row]],
                 Kind::Innovation | Kind::Consistency => Vec::new(),
             };
             (nearest_ns(rows.time_s[row]), values)

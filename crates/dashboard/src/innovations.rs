@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn each_interval_has_its_extremes_however_the_blocks_are_cut() {
+    fn each_interval_has_its_extremes_for_any_block_size() {
         let values: Vec<[f64; 2]> = (0..25).map(|frame| [f64::from(frame), f64::NAN]).collect();
         let mut whole = Vec::new();
         Innovations::new(10.0).handle(&block(0, &values), &mut whole);

@@ -27,8 +27,11 @@
 //! Types: `topic`, `series` (bounded data over time), `about` (data from the structure file).
 //!
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
-//! and `overview` (what needs attention, and why), `view` (data for the page), `history` (spans of
-//! time).
+//! and `overview` (what needs attention, and why), `conditions` (temperatures and the like), `view`
+//! (data for the page), `history` (spans of time).
+//!
+//! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
+//! heads), `gate` and `entrance` (who may do what).
 //!
 //! Shell: `api`, `live`, `page` and `server` (browsers), [`DashboardService`] (the whole service).
 //!
@@ -47,6 +50,7 @@ mod about;
 mod innovations;
 mod store;
 
+mod conditions;
 mod overview;
 mod sensors;
 mod view;
@@ -57,6 +61,7 @@ mod server;
 
 mod door;
 mod places;
+mod request_lines;
 mod serving;
 
 mod api;

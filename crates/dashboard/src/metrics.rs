@@ -1,5 +1,6 @@
 //! Metrics for Prometheus at `GET /metrics`.
 
+use crate::conditions::conditions;
 use crate::overview::overview;
 use crate::sensors::sensor_states;
 use crate::server::now_ns;
@@ -10,6 +11,8 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 use spandrel_bus::{AlertState, FitReason, FitVerdict, MonitoringState, UndecidedBecause};
+use spandrel_service::Refused;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::AtomicU64;
 
@@ -42,6 +45,8 @@ struct Metrics {
     fault: Gauges,
     offset: Gauges,
     node_distance: Gauges,
+    condition: Gauges,
+    condition_age: Gauges,
     time: Gauges,
     age: Gauges,
     lag: Gauges,
@@ -49,17 +54,25 @@ struct Metrics {
     done: Counters,
     dropped: Counters,
     restarts: Counters,
+    refused: Counters,
     up: Gauges,
 }
 
-/// Writes the metrics of all structures.
+/// Writes the metrics of all structures, and the number of refusals by kind.
 ///
 /// # Errors
 /// None in practice, because writing to a string cannot fail.
 pub(crate) fn metrics<'s>(
     stores: impl Iterator<Item = impl std::ops::Deref<Target = Store> + 's>,
+    refusals: &BTreeMap<Refused, u64>,
 ) -> Result<String, fmt::Error> {
     let metrics = Metrics::default();
+    // A counter exists before its first refusal, because a rate needs two values.
+    for refused in Refused::ALL {
+        let labels = vec![("reason", refused.as_str().to_owned())];
+        let count = refusals.get(&refused).copied().unwrap_or(0);
+        metrics.refused.get_or_create(&labels).inc_by(count);
+    }
     stores.for_each(|store| metrics.add(&store));
     let mut text = String::new();
     encode(&mut text, &metrics.registry())?;
@@ -162,6 +175,16 @@ impl Metrics {
             &self.node_distance,
         );
         gauge(
+            "condition_value",
+            "Latest value of a condition, such as a temperature, in its unit",
+            &self.condition,
+        );
+        gauge(
+            "condition_age_seconds",
+            "Time since the latest value of a condition was measured",
+            &self.condition_age,
+        );
+        gauge(
             "measured_time_seconds",
             "Time of the newest value, seconds since the Unix epoch",
             &self.time,
@@ -198,6 +221,11 @@ impl Metrics {
             self.dropped.clone(),
         );
         registry.register("restarts", "Restarts of a filter", self.restarts.clone());
+        registry.register(
+            "refused",
+            "Requests, connections and messages that this process refused",
+            self.refused.clone(),
+        );
         registry
     }
 
@@ -333,6 +361,17 @@ impl Metrics {
                 display.distance.unwrap_or(f64::NAN),
             );
         }
+        for condition in conditions(store) {
+            let labels = vec![
+                structure(),
+                ("condition", condition.name.to_owned()),
+                ("unit", condition.unit.to_owned()),
+            ];
+            if let (Some(value), Some(age_s)) = (condition.value, condition.age_s) {
+                self.condition.get_or_create(&labels).set(value);
+                self.condition_age.get_or_create(&labels).set(age_s);
+            }
+        }
         let whole = vec![structure()];
         let overview = overview(store);
         if let Some(time_s) = overview.time_s {
@@ -385,11 +424,11 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{alert, demo, fit, hear, undecided};
+    use crate::testing::{air, alert, at, demo, demo_with_air, fit, hear, undecided};
     use spandrel_listener::Input;
 
     #[test]
-    fn estimates_and_alerts_are_told_in_the_format_of_openmetrics() {
+    fn estimates_and_alerts_are_exposed_as_openmetrics() {
         let mut store = demo();
         hear(&mut store, "storey-2", 5_000_000_000, 0.85, 0.997);
         store.handle(Input::Alert(alert(
@@ -397,8 +436,11 @@ mod tests {
             5_000_000_000,
             AlertState::Raised,
         )));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let refusals = BTreeMap::from([(Refused::WrongToken, 40)]);
+        let text = metrics(std::iter::once(&store), &refusals).unwrap();
         for line in [
+            "spandrel_refused_total{reason=\"wrong-token\"} 40",
+            "spandrel_refused_total{reason=\"bus-handshake\"} 0",
             "spandrel_parameter_mean{structure=\"demo\",parameter=\"storey-2\"} 0.85",
             "spandrel_parameter_probability_of_loss{structure=\"demo\",parameter=\"storey-2\"} 0.997",
             "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"raised\"} 1.0",
@@ -411,6 +453,22 @@ mod tests {
     }
 
     #[test]
+    fn a_condition_has_its_value_unit_and_age() {
+        let mut store = demo_with_air();
+        store.handle(at(5.0));
+        store.handle(Input::Condition(air(5, 21.5)));
+        store.handle(at(7.5));
+        let text = metrics(std::iter::once(&store)).unwrap();
+        let labels = "{structure=\"demo\",condition=\"air\",unit=\"degC\"}";
+        for line in [
+            format!("spandrel_condition_value{labels} 21.5"),
+            format!("spandrel_condition_age_seconds{labels} 2.5"),
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+        }
+    }
+
+    #[test]
     fn verdict_and_reasons_are_labels_of_closed_sets() {
         let mut store = demo();
         store.handle(fit(FitVerdict::Doubtful, &[FitReason::ExcessNoise]));
@@ -419,7 +477,7 @@ mod tests {
             AlertState::Undecided,
             UndecidedBecause::NothingLearnt,
         ));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
         for line in [
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"doubtful\"} 1.0",
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"supported\"} 0.0",
@@ -433,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_others_cannot_break_a_line() {
+    fn names_of_drop_reasons_are_escaped() {
         let mut store = demo();
         store.handle(Input::Status(spandrel_bus::Status {
             structure: crate::testing::name("demo"),
@@ -455,7 +513,7 @@ mod tests {
             restarts: 0,
             version: String::new(),
         }));
-        let text = metrics(std::iter::once(&store)).unwrap();
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
         assert!(
             text.contains(r#"reason="a\"} 1\nspandrel_up 0 #"} 3"#),
             "{text}"

@@ -1,6 +1,6 @@
 //! Overview of a structure: whether it needs attention, and why.
 
-use crate::sensors::{SensorHealth, sensor_states};
+use crate::sensors::sensor_states;
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
@@ -227,7 +227,19 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
         );
     }
     if let Some((most_urgent, _)) = concerns.first() {
-        return (*most_urgent, told().collect::<Vec<_>>().join("; "));
+        // An alert that somebody has seen does not hide that new damage would not be noticed.
+        let unwatched = store.state.monitoring().filter(|display| {
+            *most_urgent == Level::Notice
+                && display.state != MonitoringState::Watching
+                && !display.only_learns()
+        });
+        let words = unwatched.map(MonitoringDisplay::words);
+        let level = match words {
+            Some(_) => Level::Warning,
+            None => *most_urgent,
+        };
+        let told = words.as_deref().into_iter().chain(told());
+        return (level, told.collect::<Vec<_>>().join("; "));
     }
     if store.state.silence().is_none() && store.state.now() >= NEVER_MEASURED_AFTER {
         let sentence =

@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_asks_for_nothing_but_its_own_files() {
+    fn page_requests_only_its_own_files() {
         for asset in ASSETS
             .iter()
             .filter(|asset| !asset.path.starts_with("/uplot"))

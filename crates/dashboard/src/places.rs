@@ -1,10 +1,17 @@
 //! Limits on the number of connections, in total and per address.
+//!
+//! A new connection always finds a place, as long as another connection is slow: it takes the place
+//! of the slowest connection of the address that has most of them. Connections that send nothing
+//! can therefore not keep others out.
 
 use crate::gate::network_of;
-use std::collections::HashMap;
+use spandrel_service::{Audit, Refused};
+use std::collections::{BTreeMap, HashMap};
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use tracing::warn;
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::Instant;
 
 /// Maximum number of concurrent connections, including handshakes. Active WebSockets have a
 /// separate limit.
@@ -12,47 +19,83 @@ const MOST_CONNECTIONS: usize = 256;
 /// Maximum number of connections from one address (for IPv6, from one /64 network). The loopback
 /// interface has no such limit, because a local proxy serves many clients.
 const MOST_OF_ONE_ADDRESS: usize = 32;
+/// Time after which a connection that is still sending or processing its request is slow. A
+/// connection between requests is always slow, because its client loses nothing.
+const SLOW_AFTER: Duration = Duration::from_secs(10);
 
-/// A shared count of open connections. Clones share the count.
+/// A shared list of open connections. Clones share the list.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Places(Arc<Mutex<Taken>>);
 
 #[derive(Debug, Default)]
 struct Taken {
-    all: usize,
-    by_address: HashMap<IpAddr, usize>,
-    refused: u64,
+    /// Connections by number. A later connection has a higher number.
+    connections: BTreeMap<u64, Connection>,
+    next: u64,
+}
+
+#[derive(Debug)]
+struct Connection {
+    address: IpAddr,
+    stage: Stage,
+    /// Start of the stage.
+    since: Instant,
+    /// Dropped when the connection must make room.
+    _room: watch::Sender<()>,
+}
+
+/// Progress of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// The client has not yet completed its handshake, or the head of its next request. Or it
+    /// receives a reply.
+    Waiting,
+    /// The head of a request has arrived, and the reply is not yet ready.
+    Request,
 }
 
 /// A place for one connection. It becomes free when dropped.
 #[derive(Debug)]
 pub(crate) struct Place {
     places: Places,
-    address: IpAddr,
+    number: u64,
+    /// Receives nothing. Its sender is dropped when the connection must make room.
+    room: watch::Receiver<()>,
 }
 
 impl Places {
-    /// Reserves a place for a connection from an address. Returns `None` if all places are taken.
-    pub(crate) fn take(&self, address: IpAddr) -> Option<Place> {
+    /// Reserves a place for a connection from an address.
+    ///
+    /// If all places are taken, the slowest connection of the address with most connections must
+    /// make room. Returns `None` if no connection is slow.
+    pub(crate) fn take(&self, address: IpAddr, now: Instant) -> Option<Place> {
         let address = network_of(address);
         let mut taken = self.lock();
-        let of_address = taken.by_address.get(&address).copied().unwrap_or(0);
-        let is_full = taken.all >= MOST_CONNECTIONS
-            || (of_address >= MOST_OF_ONE_ADDRESS && !address.is_loopback());
-        if is_full {
-            taken.refused += 1;
-            let refused = taken.refused;
-            if refused.is_power_of_two() {
-                warn!(%address, of_address, in_all = taken.all, refused, "too many connections to the page; closing the new connection");
-            }
-            return None;
-        }
-        taken.all += 1;
-        taken.by_address.insert(address, of_address + 1);
+        let leaver = match taken.is_full_for(address) {
+            Some(Full::OfAddress) => Some(taken.slowest_of(address, now)?),
+            Some(Full::OfAll) => Some(taken.slowest(now)?),
+            None => None,
+        };
+        let closed = leaver.and_then(|number| taken.connections.remove(&number));
+        let (sender, room) = watch::channel(());
+        let number = taken.next;
+        taken.next += 1;
+        let connection = Connection {
+            address,
+            stage: Stage::Waiting,
+            since: now,
+            _room: sender,
+        };
+        taken.connections.insert(number, connection);
         drop(taken);
+        if let Some(closed) = closed {
+            let why = "too many connections to the page; closed the slowest one";
+            Audit::of_process().refuse(Refused::Connection, &closed.address.to_string(), why);
+        }
         Some(Place {
             places: self.clone(),
-            address,
+            number,
+            room,
         })
     }
 
@@ -62,70 +105,189 @@ impl Places {
     }
 }
 
+/// A limit that has been reached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Full {
+    OfAddress,
+    OfAll,
+}
+
+impl Taken {
+    fn is_full_for(&self, address: IpAddr) -> Option<Full> {
+        let of_address = || self.connections.values().filter(|c| c.address == address);
+        if !address.is_loopback() && of_address().count() >= MOST_OF_ONE_ADDRESS {
+            return Some(Full::OfAddress);
+        }
+        (self.connections.len() >= MOST_CONNECTIONS).then_some(Full::OfAll)
+    }
+
+    /// Returns the slowest connection of the address with most connections, or of the next address
+    /// if none of them is slow.
+    fn slowest(&self, now: Instant) -> Option<u64> {
+        let mut counts: HashMap<IpAddr, usize> = HashMap::new();
+        for connection in self.connections.values() {
+            *counts.entry(connection.address).or_default() += 1;
+        }
+        let mut addresses: Vec<(usize, IpAddr)> =
+            counts.into_iter().map(|(ip, count)| (count, ip)).collect();
+        addresses.sort_unstable_by(|a, b| b.cmp(a));
+        let mut busiest_first = addresses.iter();
+        busiest_first.find_map(|(_, ip)| self.slowest_of(*ip, now))
+    }
+
+    /// Returns the connection of an address that has waited longest. A request in progress comes
+    /// last, and only once it is slow.
+    fn slowest_of(&self, address: IpAddr, now: Instant) -> Option<u64> {
+        let is_slow = |connection: &Connection| match connection.stage {
+            Stage::Waiting => true,
+            Stage::Request => now.saturating_duration_since(connection.since) >= SLOW_AFTER,
+        };
+        let slow = self
+            .connections
+            .iter()
+            .filter(|(_, connection)| connection.address == address && is_slow(connection));
+        let slowest = slow.min_by_key(|(number, connection)| {
+            let is_request = connection.stage == Stage::Request;
+            (is_request, connection.since, **number)
+        });
+        slowest.map(|(number, _)| *number)
+    }
+}
+
+impl Place {
+    /// Notes that the head of a request has arrived.
+    pub(crate) fn begin_request(&self, now: Instant) {
+        self.enter(Stage::Request, now);
+    }
+
+    /// Notes that the reply is ready.
+    pub(crate) fn end_request(&self, now: Instant) {
+        self.enter(Stage::Waiting, now);
+    }
+
+    fn enter(&self, stage: Stage, now: Instant) {
+        let mut taken = self.places.lock();
+        if let Some(connection) = taken.connections.get_mut(&self.number) {
+            (connection.stage, connection.since) = (stage, now);
+        }
+    }
+
+    /// Completes when the connection must make room for another one.
+    pub(crate) fn must_leave(&self) -> impl Future<Output = ()> + use<> {
+        let mut room = self.room.clone();
+        async move { while room.changed().await.is_ok() {} }
+    }
+}
+
 impl Drop for Place {
     fn drop(&mut self) {
-        let mut taken = self.places.lock();
-        taken.all -= 1;
-        if let Some(of_address) = taken.by_address.get_mut(&self.address) {
-            *of_address -= 1;
-            if *of_address == 0 {
-                taken.by_address.remove(&self.address);
-            }
-        }
+        self.places.lock().connections.remove(&self.number);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use futures_util::FutureExt as _;
 
     fn address(text: &str) -> IpAddr {
         text.parse().unwrap()
     }
 
+    fn has_left(place: &Place) -> bool {
+        place.must_leave().now_or_never().is_some()
+    }
+
+    /// Returns as many requests in progress as one address may have.
+    fn busy(places: &Places, from: &str, count: usize, now: Instant) -> Vec<Place> {
+        let take = |_| {
+            let place = places.take(address(from), now).unwrap();
+            place.begin_request(now);
+            place
+        };
+        (0..count).map(take).collect()
+    }
+
     #[test]
-    fn one_address_takes_its_share_and_others_come_in() {
-        let places = Places::default();
-        let mut held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
-            .map(|_| places.take(address("10.0.0.7")).unwrap())
-            .collect();
-        assert!(places.take(address("10.0.0.7")).is_none());
+    fn connections_of_one_address_are_limited_and_other_addresses_are_admitted() {
+        let (places, now) = (Places::default(), Instant::now());
+        let mut held = busy(&places, "10.0.0.7", MOST_OF_ONE_ADDRESS, now);
+        assert!(places.take(address("10.0.0.7"), now).is_none());
         assert!(
-            places.take(address("::ffff:10.0.0.7")).is_none(),
+            places.take(address("::ffff:10.0.0.7"), now).is_none(),
             "it is the same"
         );
-        assert!(places.take(address("10.0.0.8")).is_some());
+        assert!(places.take(address("10.0.0.8"), now).is_some());
         held.pop();
-        assert!(places.take(address("10.0.0.7")).is_some());
+        assert!(places.take(address("10.0.0.7"), now).is_some());
         drop(held);
-        assert_eq!(places.lock().all, 0);
         assert!(
-            places.lock().by_address.is_empty(),
+            places.lock().connections.is_empty(),
             "who is gone is forgotten"
         );
     }
 
     #[test]
-    fn addresses_of_one_ipv6_network_share_their_places() {
-        let places = Places::default();
-        let of_host = |host: usize| address(&format!("2001:db8::{host:x}"));
+    fn addresses_of_one_ipv6_network_share_one_limit() {
+        let (places, now) = (Places::default(), Instant::now());
         let held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
-            .map(|host| places.take(of_host(host)).unwrap())
+            .flat_map(|host| busy(&places, &format!("2001:db8::{host:x}"), 1, now))
             .collect();
-        assert!(places.take(address("2001:db8::ffff")).is_none());
-        assert!(places.take(address("2001:db8:0:1::1")).is_some());
+        assert!(places.take(address("2001:db8::ffff"), now).is_none());
+        assert!(places.take(address("2001:db8:0:1::1"), now).is_some());
         drop(held);
     }
 
     #[test]
-    fn there_is_an_end_for_all_together() {
-        let places = Places::default();
+    fn total_number_of_connections_is_limited() {
+        let (places, now) = (Places::default(), Instant::now());
         let here = address("127.0.0.1");
-        let held: Vec<Place> = (0..MOST_CONNECTIONS)
-            .map(|_| places.take(here).unwrap())
-            .collect();
-        assert!(places.take(here).is_none() && places.take(address("10.0.0.7")).is_none());
+        let held = busy(&places, "127.0.0.1", MOST_CONNECTIONS, now);
+        assert!(
+            places.take(here, now).is_none() && places.take(address("10.0.0.7"), now).is_none()
+        );
         drop(held);
-        assert!(places.take(here).is_some());
+        assert!(places.take(here, now).is_some());
+    }
+
+    /// Regression: 300 connections that sent nothing kept everybody out for up to 25 s.
+    #[test]
+    fn the_slowest_connection_of_the_busiest_address_makes_room() {
+        let (places, start) = (Places::default(), Instant::now());
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let others: Vec<Place> = (1..=10)
+            .map(|host| {
+                places
+                    .take(address(&format!("10.0.0.{host}")), at(0))
+                    .unwrap()
+            })
+            .collect();
+        let slow: Vec<Place> = (1..=MOST_CONNECTIONS as u64 - 10)
+            .map(|second| places.take(address("127.0.0.1"), at(second)).unwrap())
+            .collect();
+        slow[0].begin_request(at(300));
+        let new = places.take(address("10.0.1.1"), at(301)).unwrap();
+        assert!(
+            has_left(&slow[1]),
+            "it has waited longest, because the first one has sent a request"
+        );
+        assert!(!slow.iter().skip(2).any(has_left) && !others.iter().any(has_left));
+        assert!(!has_left(&slow[0]) && !has_left(&new));
+        assert_eq!(places.lock().connections.len(), MOST_CONNECTIONS);
+    }
+
+    #[test]
+    fn a_request_that_takes_too_long_makes_room_last() {
+        let (places, start) = (Places::default(), Instant::now());
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let busy = busy(&places, "10.0.0.7", MOST_OF_ONE_ADDRESS, at(0));
+        busy[5].end_request(at(9));
+        let _first = places.take(address("10.0.0.7"), at(9)).unwrap();
+        assert!(has_left(&busy[5]), "it has no request");
+        let second = places.take(address("10.0.0.7"), at(9)).unwrap();
+        second.begin_request(at(9));
+        assert!(places.take(address("10.0.0.7"), at(9)).is_none());
+        assert!(places.take(address("10.0.0.7"), at(10)).is_some());
+        assert!(has_left(&busy[0]), "it has sent a request for 10 s");
     }
 }

@@ -21,6 +21,8 @@ pub(crate) enum SensorHealth {
     Gone,
     /// No samples arrive, or none were usable.
     Silent,
+    /// The clock of its node differs from that of most nodes, and its samples are not used.
+    WrongClock,
     /// Its samples are perhaps wrong.
     InDoubt,
     /// Its samples are wrong and are not used.
@@ -42,7 +44,12 @@ impl SensorHealth {
     /// Returns `true` if the sensor needs attention.
     pub(crate) fn is_trouble(self) -> bool {
         match self {
-            Self::Gone | Self::Silent | Self::InDoubt | Self::Faulty | Self::Excluded => true,
+            Self::Gone
+            | Self::Silent
+            | Self::WrongClock
+            | Self::InDoubt
+            | Self::Faulty
+            | Self::Excluded => true,
             Self::Alive | Self::Ended | Self::Unknown => false,
         }
     }
@@ -56,7 +63,7 @@ pub(crate) struct SensorState<'s> {
     pub(crate) health: SensorHealth,
     /// Comparison with the other sensors, if there is any.
     pub(crate) compared: Option<&'s ChannelHealthDisplay>,
-    /// When its node samples, if not at the times of the frames.
+    /// When its node samples, if not at the times of the frames, or if its clock is wrong.
     pub(crate) clock: Option<NodeClock>,
 }
 
@@ -89,6 +96,9 @@ fn clock(store: &Store, sensor: &DrawnSensor) -> Option<NodeClock> {
 
 fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
     let (node, channel) = (sensor.node.as_str(), sensor.channel.as_str());
+    if clock(store, sensor).is_some_and(|clock| clock.difference_s.is_some()) {
+        return SensorHealth::WrongClock;
+    }
     let is_faulty = store
         .state
         .outliers

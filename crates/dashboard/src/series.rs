@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn however_much_comes_no_more_than_promised_is_kept() {
+    fn series_keeps_at_most_its_limit() {
         let series = ramp(1_000_000);
         assert_eq!(
             (series.fine.len(), series.coarse.len()),
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_span_goes_from_combined_points_to_fine_ones_without_overlap() {
+    fn combined_and_fine_points_do_not_overlap() {
         let series = ramp(20_000);
         let table = series.span(0, i64::MAX, usize::MAX);
         let times: Vec<i64> = table.times_ns().collect();
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn extremes_survive_being_combined() {
+    fn combined_points_keep_the_extremes() {
         let mut series = Series::new(RANGE);
         for time in 0..1_000 {
             let spike = if time == 123 { 50.0 } else { 1.0 };
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_values_give_way_to_numbers() {
+    fn numbers_replace_missing_values_in_combined_points() {
         let mut series = Series::new(RANGE);
         series.push(0, &[f64::NAN, f64::NAN]);
         series.push(1, &[-2.0, 3.0]);
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_new_is_told_once() {
+    fn new_points_are_returned_once() {
         let mut series = ramp(100);
         let seen = series.pushed();
         assert_eq!(series.since(seen, 10).len(), 0);
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn time_that_goes_back_begins_anew() {
+    fn time_going_back_starts_a_new_series() {
         let mut series = ramp(500);
         let last = 499 + 2 * AGAIN_NS;
         series.push(last, &[0.0, 1.0]);
@@ -327,7 +327,7 @@ mod tests {
 
     /// Regression test: a second that was published again cleared all plots.
     #[test]
-    fn what_comes_again_changes_nothing() {
+    fn repeated_points_change_nothing() {
         let mut series = ramp(500);
         series.push(3, &[0.0, 1.0]);
         series.push(499, &[0.0, 1.0]);

@@ -11,7 +11,9 @@ use crate::store::Store;
 use crate::tokens::Tokens;
 use spandrel_bus::{BoxedFuture, Keys, LiveToken, Service};
 use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
-use spandrel_service::{Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop};
+use spandrel_service::{
+    Audit, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+};
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -34,6 +36,7 @@ const NEEDS: Needs = Needs {
         T::Noise,
         T::Outliers,
         T::SensorHealth,
+        T::Conditions,
         T::Classes,
         T::Nodes,
         T::Fit,
@@ -299,16 +302,19 @@ async fn listen(sources: &mut [Source], server: &Server) -> Result<(), Dashboard
                     inputs.into_iter().for_each(|input| store.handle(input));
                 }
             },
-            _ = status.tick() => for source in &*sources {
-                let last_ns = server.store(source.keys.structure().as_str()).and_then(|store| store.state.time_ns);
-                let report = Report {
-                    done: source.listener.taken(),
-                    processed_ns: last_ns,
-                    drops: source.listener.refused(),
-                    ..Report::default()
-                };
-                source.status.put(report).await?;
-            },
+            _ = status.tick() => {
+                Audit::of_process().pass();
+                for source in &*sources {
+                    let store = server.store(source.keys.structure().as_str());
+                    let report = Report {
+                        done: source.listener.taken(),
+                        processed_ns: store.and_then(|store| store.state.time_ns),
+                        drops: source.listener.refused(),
+                        ..Report::default()
+                    };
+                    source.status.put(report).await?;
+                }
+            }
         }
     }
 }

@@ -1,20 +1,27 @@
 //! Serves the requests of all connections.
 
 use crate::door::{Door, Guest};
+use crate::request_lines::Checked;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
+use axum::http::header::CONNECTION;
+use axum::http::{HeaderValue, StatusCode};
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1::Builder;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use spandrel_service::{Audit, Refused};
+use std::convert::Infallible;
 use std::net::IpAddr;
 use std::pin::pin;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
+use tokio::time::Instant;
 use tracing::debug;
 
 /// Time limit for the head of a request, and for the pause between requests of a connection.
@@ -55,10 +62,24 @@ async fn answer(
 ) {
     let router = TowerToHyperService::new(router);
     let client = ConnectInfo(ClientAddress(address.ip()));
+    let (stream, findings) = Checked::new(stream);
+    let found = findings.clone();
+    let place = Arc::new(place);
+    let must_leave = place.must_leave();
     let service = service_fn(move |request: Request<Incoming>| {
         let mut request = request.map(Body::new);
         request.extensions_mut().insert(client);
-        router.call(request)
+        place.begin_request(Instant::now());
+        let (reply, place, found) = (router.call(request), place.clone(), found.clone());
+        async move {
+            let mut reply = reply.await?;
+            place.end_request(Instant::now());
+            if found.must_end() && reply.status() != StatusCode::SWITCHING_PROTOCOLS {
+                let close = HeaderValue::from_static("close");
+                reply.headers_mut().insert(CONNECTION, close);
+            }
+            Ok::<_, Infallible>(reply)
+        }
     });
     let mut builder = Builder::new();
     builder
@@ -79,9 +100,13 @@ async fn answer(
             connection.as_mut().graceful_shutdown();
             connection.await
         }
+        () = must_leave => return, // the audit log has the reason
     };
+    if findings.has_bare_line_feed() {
+        let why = "a line of the head does not end with CR LF";
+        Audit::of_process().refuse(Refused::Malformed, &address.ip().to_string(), why);
+    }
     if let Err(error) = ended {
         debug!(%address, %error, "connection to the page ended");
     }
-    drop(place);
 }

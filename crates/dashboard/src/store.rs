@@ -6,8 +6,8 @@ use crate::innovations::{Innovations, Interval};
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, ChannelState, Event, EventKind, HistoryLog,
-    ModelClassDisplay, Phase,
+    Acknowledgement, AlertMessage, AlertState, ChannelState, ConditionDisplay, Event, EventKind,
+    HistoryLog, ModelClassDisplay, Phase,
 };
 use spandrel_listener::{AlertChange, Input, STALE_AFTER, StructureState};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -99,6 +99,7 @@ impl Store {
             Input::Outlier(m) => self.has_channel(m.channel.as_str()),
             Input::SensorHealth(m) => self.has_node(m.node.as_str()),
             Input::Node(m) => self.has_node(m.node.as_str()),
+            Input::Condition(m) | Input::StandingCondition(m, _) => self.has_condition(m),
             Input::Alert(m) | Input::StandingAlert(m) => self.has_parameter(m.parameter.as_str()),
             Input::Acknowledgement(m) => self.has_parameter(m.parameter.as_str()),
             // In distributed identification, samples are not replayed from a recording.
@@ -125,6 +126,9 @@ impl Store {
             Input::Outlier(m) => {
                 let values = [m.recent_share, m.flagged as f64];
                 self.push(Kind::Outlier, m.channel.as_str(), m.time_ns, &values);
+            }
+            Input::Condition(m) => {
+                self.push(Kind::Condition, m.name.as_str(), m.time_ns, &[m.value]);
             }
             Input::Classes(m) => self.plot_classes(m),
             Input::Node(m) => {
@@ -166,6 +170,13 @@ impl Store {
     fn has_node(&self, name: &str) -> bool {
         let mut sensors = self.about.drawing.sensors.iter();
         sensors.any(|sensor| sensor.node == name)
+    }
+
+    /// Returns `true` if the structure file has the condition, in the unit of the message.
+    fn has_condition(&self, message: &ConditionDisplay) -> bool {
+        let mut conditions = self.about.conditions.iter();
+        let name = message.name.as_str();
+        conditions.any(|known| known.name == name && known.unit == message.unit)
     }
 
     fn plot_classes(&mut self, display: &ModelClassDisplay) {
@@ -252,11 +263,17 @@ impl Store {
                 | EventKind::ChannelInDoubt
                 | EventKind::SamplesDropped
                 | EventKind::SamplesBack
+                | EventKind::ClockWrong
+                | EventKind::ClockRight
                 | EventKind::Monitoring
                 | EventKind::Maintenance
                 | EventKind::Gap
                 | EventKind::Overloaded
-                | EventKind::CaughtUp => false,
+                | EventKind::CaughtUp
+                | EventKind::HistoryUnavailable
+                | EventKind::HistoryBack
+                | EventKind::StateLost
+                | EventKind::StateBack => false,
             };
         }
         self.events.push_front(event);
@@ -328,6 +345,10 @@ impl Store {
             Kind::Consistency => of == ALL_CHANNELS,
             Kind::Class => self.series.contains_key(name),
             Kind::Node => self.has_node(of),
+            Kind::Condition => {
+                let mut conditions = self.about.conditions.iter();
+                conditions.any(|condition| condition.name == of)
+            }
         }
     }
 

@@ -3,9 +3,9 @@
 use crate::about::About;
 use crate::store::Store;
 use spandrel_bus::{
-    AlertMessage, AlertState, ChannelMonitoring, CredibleInterval, FitDisplay, FitReason,
-    FitVerdict, LossDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay, Service,
-    UndecidedBecause,
+    AlertMessage, AlertState, ChannelMonitoring, ConditionDisplay, CredibleInterval, FitDisplay,
+    FitReason, FitVerdict, LossDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay,
+    Service, UndecidedBecause,
 };
 use spandrel_listener::{Input, Instance};
 use spandrel_structure::Structure;
@@ -22,6 +22,28 @@ pub(crate) fn demo() -> Store {
     Store::new(About::new(
         &Structure::parse(text, Path::new("demo.toml")).unwrap(),
     ))
+}
+
+/// Returns the store of the demo with a temperature of the air, expected every 10 s.
+pub(crate) fn demo_with_air() -> Store {
+    let text = include_str!("../../../docs/examples/demo.toml");
+    let air =
+        "[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\ninterval-s = 10\n";
+    let structure = Structure::parse(&format!("{text}\n{air}"), Path::new("demo.toml"));
+    Store::new(About::new(&structure.unwrap()))
+}
+
+/// Returns a temperature of the air (°C) at `second`.
+pub(crate) fn air(second: i64, value: f64) -> ConditionDisplay {
+    ConditionDisplay {
+        structure: name("demo"),
+        name: name("air"),
+        time_ns: second * 1_000_000_000,
+        value,
+        unit: "degC".to_owned(),
+        interval_s: Some(10.0),
+        instrument: Some("mast".to_owned()),
+    }
 }
 
 pub(crate) fn at(seconds: f64) -> Input {

@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_found_and_not_kept() {
+    fn token_is_found_and_the_file_does_not_contain_it() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");
         let ada = Tokens::issue(&path, name("ada"), PageRole::Viewer, false).unwrap();
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_replaced_only_when_asked() {
+    fn token_is_replaced_only_on_request() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");
         let first = Tokens::issue(&path, name("ada"), PageRole::Viewer, false).unwrap();
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_none_is_named_and_not_quoted() {
+    fn error_names_an_invalid_file_without_quoting_it() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");
         std::fs::write(

@@ -26,11 +26,13 @@ pub(crate) enum Kind {
     /// A node in distributed identification: its distance from the other nodes, and the distance at
     /// which it is suspicious.
     Node,
+    /// A condition, such as a temperature: its value (unit of the condition).
+    Condition,
 }
 
 impl Kind {
     /// All kinds.
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::Parameter,
         Self::Loss,
         Self::Noise,
@@ -39,6 +41,7 @@ impl Kind {
         Self::Outlier,
         Self::Class,
         Self::Node,
+        Self::Condition,
     ];
 
     /// Returns the word for the kind in requests.
@@ -52,6 +55,7 @@ impl Kind {
             Self::Outlier => "outlier",
             Self::Class => "class",
             Self::Node => "node",
+            Self::Condition => "condition",
         }
     }
 
@@ -65,6 +69,7 @@ impl Kind {
             Self::Outlier => &["recent_share", "flagged"],
             Self::Class => &["plausibility"],
             Self::Node => &["distance", "distance_limit"],
+            Self::Condition => &["value"],
         }
     }
 
@@ -79,7 +84,7 @@ impl Kind {
                 Combine::Largest,
             ],
             Self::Innovation => &[Combine::Least, Combine::Largest],
-            Self::Consistency | Self::Class => &[Combine::Last],
+            Self::Consistency | Self::Class | Self::Condition => &[Combine::Last],
             Self::Outlier => &[Combine::Largest, Combine::Sum],
             Self::Node => &[Combine::Largest, Combine::Last],
         })
@@ -90,7 +95,7 @@ impl Kind {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct SeriesName {
     pub(crate) kind: Kind,
-    /// Name of the parameter, noise level, channel, class or node.
+    /// Name of the parameter, noise level, channel, class, node or condition.
     pub(crate) of: String,
 }
 
@@ -121,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_read_as_they_are_written() {
+    fn series_names_are_parsed_back() {
         for kind in Kind::ALL {
             let name = SeriesName::new(kind, "storey-2");
             assert_eq!(SeriesName::parse(&name.to_string()), Some(name));

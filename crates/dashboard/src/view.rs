@@ -1,11 +1,12 @@
 //! Views of a structure for the page and for scripts.
 
+use crate::conditions::{ConditionView, conditions};
 use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
     AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, Phase, Service, Status,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -23,6 +24,7 @@ pub(crate) struct Standing<'s> {
     outliers: &'s BTreeMap<Name, OutlierDisplay>,
     classes: Option<&'s ModelClassDisplay>,
     nodes: &'s BTreeMap<Name, NodeDisplay>,
+    conditions: Vec<ConditionView<'s>>,
     /// Verdict on the fit, with its explanation.
     fit: Option<FitView<'s>>,
     training: bool,
@@ -46,6 +48,8 @@ pub(crate) struct AlertView<'s> {
     pub(crate) note: Option<&'s str>,
     /// Loss by the newest value, if that is newer than the sentence of the alert.
     pub(crate) now: Option<String>,
+    /// Why the present data do not reveal damage of the parameter, if so.
+    pub(crate) unwatched: Option<&'s ParameterMonitoring>,
 }
 
 /// Verdict on the fit as the page shows it.
@@ -92,6 +96,7 @@ impl<'s> Standing<'s> {
             outliers: &store.state.outliers,
             classes: store.state.classes.as_ref(),
             nodes: &store.state.nodes,
+            conditions: conditions(store).collect(),
             fit: store.state.fit.as_ref().map(|display| FitView {
                 display,
                 words: display.words(),
@@ -114,6 +119,7 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
         stale: store.state.is_alert_stale(name),
         note: store.note(message),
         now: store.state.present_loss(message),
+        unwatched: store.state.unwatched(name),
     })
 }
 
@@ -124,5 +130,6 @@ pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
         stale: false,
         note: store.note(message),
         now: None,
+        unwatched: None,
     })
 }

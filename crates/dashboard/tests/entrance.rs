@@ -247,7 +247,7 @@ async fn exchange(mut socket: impl AsyncRead + AsyncWrite + Unpin, request: &str
 const ACKNOWLEDGE: &str = "/api/structures/demo/alerts/storey-2/acknowledge";
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_a_token_only_the_files_of_the_page_are_given() {
+async fn only_the_files_of_the_page_are_served_without_a_token() {
     let site = Site::start(Scheme::Https).await;
     for path in ["/", "/app.js", "/style.css"] {
         let answer = site.request("GET", path, "", "").await;
@@ -359,7 +359,7 @@ fn raised() -> AlertMessage {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_browser_shows_its_token_once() {
+async fn browser_sends_its_token_once() {
     for scheme in [Scheme::Http, Scheme::Https] {
         let site = Site::start(scheme).await;
         let body = format!("{{\"token\":\"{}\"}}", site.files.viewer);
@@ -420,7 +420,7 @@ async fn a_browser_shows_its_token_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_socket_ends_with_the_session_of_its_browser() {
+async fn socket_closes_when_the_session_of_its_browser_ends() {
     let site = Site::start(Scheme::Http).await;
     let entered = site
         .request(
@@ -487,7 +487,7 @@ async fn next(socket: &mut WebSocketStream<MaybeTlsStream<TcpStream>>) -> Messag
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn wrong_tokens_are_refused_and_then_no_longer_looked_at() {
+async fn wrong_tokens_are_rejected_and_then_limited() {
     let site = Site::start(Scheme::Http).await;
     let wrong = format!("{}0", site.files.operator);
     let mut statuses = Vec::new();
@@ -522,7 +522,7 @@ async fn wrong_tokens_are_refused_and_then_no_longer_looked_at() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn plain_http_is_not_answered_where_there_is_a_certificate() {
+async fn plain_http_receives_no_reply_if_there_is_a_certificate() {
     let site = Site::start(Scheme::Https).await;
     let mut socket = TcpStream::connect(site.address).await.unwrap();
     socket
@@ -549,7 +549,7 @@ async fn plain_http_is_not_answered_where_there_is_a_certificate() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn beyond_this_machine_certificate_and_tokens_are_needed() {
+async fn addresses_beyond_this_machine_require_certificate_and_tokens() {
     let files = Files::new();
     let (bus, _) = bus().await;
     for (certificate, tokens, missing) in [
@@ -580,7 +580,7 @@ async fn beyond_this_machine_certificate_and_tokens_are_needed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_foreign_name_is_not_answered_without_tokens() {
+async fn foreign_host_names_are_rejected_without_tokens() {
     let (bus, config) = bus().await;
     let structure = demo();
     let keys = config.keys(structure.name()).unwrap();

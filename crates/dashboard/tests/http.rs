@@ -256,7 +256,7 @@ impl Client {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_put_on_the_bus_is_seen_in_the_overview_and_in_the_structure() {
+async fn values_on_the_bus_appear_in_the_overview_and_in_the_structure() {
     let site = Site::start().await;
     assert_eq!(
         site.get("/api/structures").await.json()["structures"][0]["level"],
@@ -296,7 +296,7 @@ async fn what_is_put_on_the_bus_is_seen_in_the_overview_and_in_the_structure() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
+async fn late_dashboard_queries_the_state_of_the_alerts() {
     let site = Site::start().await;
     site.raise(AlertState::Raised).await;
     site.wait("an alarm", |found| found["raised"] == 1).await;
@@ -326,7 +326,7 @@ async fn a_dashboard_that_starts_late_asks_how_the_alerts_stand() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn history_comes_as_json_and_as_csv() {
+async fn history_is_served_as_json_and_csv() {
     let site = Site::start().await;
     for second in 1..=10 {
         site.put(second, 1.0 - 0.01 * second as f64).await;
@@ -349,7 +349,7 @@ async fn history_comes_as_json_and_as_csv() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
+async fn acknowledgement_is_published_with_name_and_note() {
     let site = Site::start().await;
     let heard = site
         .bus
@@ -397,7 +397,7 @@ async fn an_acknowledgement_goes_to_the_bus_with_name_and_note() {
 /// Regression test: a request for the alerts just after the confirmation still returned the raised
 /// state.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
+async fn confirmed_acknowledgement_is_in_the_alerts_at_once() {
     let site = Site::start().await;
     let heard = site
         .bus
@@ -434,7 +434,7 @@ async fn an_acknowledgement_that_is_answered_is_in_the_alerts_at_once() {
 /// Regression test: the interface reported the acknowledgement as sent although the router dropped
 /// it.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_acknowledgement_that_would_be_dropped_is_refused_with_who_may() {
+async fn error_names_the_roles_if_the_router_would_drop_an_acknowledgement() {
     let why = "role dashboard may not acknowledge; roles that may: server, operator";
     let listen = Listen::At("127.0.0.1:0".into()).into();
     let site = Site::with(PageSettings {
@@ -457,7 +457,7 @@ async fn an_acknowledgement_that_would_be_dropped_is_refused_with_who_may() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn mistakes_are_answered_with_what_is_wrong_and_what_is_allowed() {
+async fn errors_name_the_mistake_and_the_allowed_values() {
     let site = Site::start().await;
     site.raise(AlertState::Raised).await;
     site.wait("an alarm", |found| found["raised"] == 1).await;
@@ -519,7 +519,7 @@ async fn mistakes_are_answered_with_what_is_wrong_and_what_is_allowed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_page_comes_with_a_policy_that_lets_it_load_its_own_files_only() {
+async fn content_security_policy_allows_only_own_files() {
     let site = Site::start().await;
     let page = site.get("/").await;
     assert_eq!(page.status, 200);
@@ -547,7 +547,7 @@ async fn the_page_comes_with_a_policy_that_lets_it_load_its_own_files_only() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
+async fn socket_sends_the_present_state_and_then_each_new_point() {
     let site = Site::start().await;
     site.put(1, 1.0).await;
     site.wait("the first point", |found| found["time_s"] == 1.0)
@@ -600,7 +600,7 @@ async fn a_socket_tells_how_things_stand_and_then_each_new_point() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_address_that_was_asked_for_is_that_or_an_error() {
+async fn requested_address_in_use_is_an_error() {
     let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let site = Site::start().await;

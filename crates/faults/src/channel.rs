@@ -1,4 +1,4 @@
-//! What is known of one channel.
+//! The health of one channel.
 
 use serde::{Deserialize, Serialize};
 
@@ -31,7 +31,7 @@ pub enum Soundness {
     Faulty,
 }
 
-/// What is known of one channel.
+/// The health of one channel.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct ChannelHealth {
     /// The judgement.

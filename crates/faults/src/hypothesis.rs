@@ -3,8 +3,8 @@
 //! With the responses `Tᵢ` of the model, the motion of a sound channel is `xᵢ = Tᵢ u` with one
 //! common `u`. A faulty channel is `xᵢ = g exp(−iωτ) Tᵢ u` with an unknown factor `g` and delay
 //! `τ`, or does not contain `u` at all. The responses depend little on the stiffness in this band.
-//! What remains of the dependence is one unknown, the frequency scale of the structure, so that a
-//! softer structure is no fault of the sensor on the ground.
+//! What remains of the dependence is one unknown, the frequency scale of the structure, so that
+//! softening is not mistaken for a fault of the ground sensor.
 
 use crate::channel::Fault;
 use crate::memory::Memory;

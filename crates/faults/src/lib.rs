@@ -1,11 +1,11 @@
-//! Tells faulty sensors from damage.
+//! Distinguishes faulty sensors from damage.
 //!
 //! Far below the first natural frequency, a structure follows the ground almost rigidly. All
 //! accelerometers along one direction then measure the same motion, whatever the stiffness of the
 //! structure. A channel that differs from the others there has a fault: damage cannot explain it.
 //!
 //! - [`SensorCheck`]: one frame after the other, for all channels of a structure
-//! - [`ChannelHealth`]: what is known of one channel
+//! - [`ChannelHealth`]: the health of one channel
 //! - [`Fault`]: the kinds of faults
 //!
 //! This crate has no clock, no network and no log.

@@ -177,7 +177,7 @@ impl SensorCheck {
                 let Some(health) = &mut self.state.health[*channel] else {
                     continue;
                 };
-                // Among equals, the short memory shows the present fault better.
+                // If probabilities are equal, the short memory describes the present fault better.
                 let worst = compared
                     .iter()
                     .flatten()
@@ -258,7 +258,7 @@ impl SensorCheck {
         }
     }
 
-    /// Forgets the samples so far, but not the judgements.
+    /// Discards the samples so far, but keeps the judgements.
     pub fn forget_motion(&mut self) {
         self.state.groups = self.groups.iter().map(Group::empty).collect();
     }
@@ -382,7 +382,7 @@ impl Group {
             return;
         };
         let probability = found.probabilities[member];
-        // One comparison may be an accident: the motion begins, or a gap ends.
+        // A single suspicious comparison can be a transient, such as the start of a motion.
         let was_suspected = health.probability > IN_DOUBT;
         *health = ChannelHealth {
             probability,

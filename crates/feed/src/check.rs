@@ -26,6 +26,8 @@ pub struct CheckedSource {
     pub status: InstrumentStatus,
     /// The configured channels.
     pub channels: Vec<CheckedChannel>,
+    /// The configured conditions.
+    pub conditions: Vec<CheckedCondition>,
     /// Number of samples of channels without a mapping, by name.
     pub unmapped: BTreeMap<String, u64>,
 }
@@ -53,6 +55,23 @@ pub struct CheckedChannel {
     pub latency_s: Option<(f64, f64)>,
     /// Least and largest value, SI unit.
     pub range: Option<(f64, f64)>,
+}
+
+/// What arrived of one condition of a source.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CheckedCondition {
+    /// Name in the source.
+    pub label: String,
+    /// Structure of the condition.
+    pub structure: String,
+    /// Name of the condition.
+    pub name: String,
+    /// Unit.
+    pub unit: &'static str,
+    /// Number of values.
+    pub values: u64,
+    /// Last value, in the unit.
+    pub last: Option<f64>,
 }
 
 /// Listens to all sources for `duration`, or until `stop` completes.
@@ -129,11 +148,26 @@ fn report(core: &Feed) -> Vec<CheckedSource> {
                     range: seen.range,
                 })
             });
+        let conditions = plan
+            .conditions
+            .iter()
+            .zip(core.seen_conditions(index))
+            .filter_map(|(condition, (values, last))| {
+                Some(CheckedCondition {
+                    label: condition.label.clone(),
+                    structure: config.structures.get(condition.structure)?.name.clone(),
+                    name: condition.name.clone(),
+                    unit: condition.unit,
+                    values,
+                    last,
+                })
+            });
         sources.push(CheckedSource {
             name: plan.name.clone(),
             description: plan.kind.description(),
             status,
             channels: channels.collect(),
+            conditions: conditions.collect(),
             unmapped: unmapped.clone(),
         });
     }

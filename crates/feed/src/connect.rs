@@ -26,17 +26,13 @@ pub(crate) fn read(
     since_ns: Option<i64>,
     outlet: Outlet,
 ) -> BoxedFuture<'static, ()> {
-    let labels = || {
-        let labels = source.channels.iter().map(|channel| channel.label.clone());
-        labels.collect()
-    };
     match source.kind.clone() {
         SourceKind::Udp { listen, format } => Box::pin(udp::read(listen, format, outlet)),
         SourceKind::Tcp { address, format } => Box::pin(tcp::connect(address, format, outlet)),
         SourceKind::TcpServer { listen, format } => Box::pin(tcp::serve(listen, format, outlet)),
         SourceKind::Stdin { format } => Box::pin(stdin::read(format, outlet)),
         SourceKind::SeedLink(server) => {
-            Box::pin(seedlink::read(server, labels(), since_ns, outlet))
+            Box::pin(seedlink::read(server, source.labels(), since_ns, outlet))
         }
         SourceKind::Mqtt(topic) => Box::pin(mqtt::read(topic, outlet)),
         SourceKind::File(file) => Box::pin(growing_file::read(file, since_ns, outlet)),

@@ -78,6 +78,15 @@ pub enum Input {
         /// Its frames.
         recorded: Recorded,
     },
+    /// The history has the values of a condition of a source up to a time.
+    Stored {
+        /// The source.
+        source: usize,
+        /// Index of the condition in the plan of the source.
+        condition: usize,
+        /// Time of its newest value, ns since the Unix epoch.
+        newest_ns: i64,
+    },
     /// Time has passed.
     Tick,
     /// The feed stops. All waiting samples are returned.
@@ -93,6 +102,17 @@ pub enum Output {
         node: usize,
         /// The block.
         block: SampleBlock,
+    },
+    /// A value of a condition.
+    Condition {
+        /// Index of the source in the configuration.
+        source: usize,
+        /// Index of the condition in the plan of the source.
+        condition: usize,
+        /// Time of the measurement, ns since the Unix epoch.
+        time_ns: i64,
+        /// Value, in the unit of the condition.
+        value: f64,
     },
     /// Samples are permanently lost.
     Lost(GapReport),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use spandrel_bus::InstrumentStatus;
 
+use crate::condition_feed::{ConditionFeed, Reading};
 use crate::core_input::{Input, Moment, Output};
 use crate::gap::LostBecause;
 use crate::instrument::Instrument;
@@ -11,7 +12,7 @@ use crate::node_feed::{Arrival, NodeFeed, NodeOutput, Series};
 use crate::packet::Packet;
 use crate::rate_check::RateCheck;
 use crate::settings::FeedConfig;
-use crate::source_plan::{ChannelPlan, Stamps};
+use crate::source_plan::{ChannelPlan, SourcePlan, Stamps};
 use crate::timing::Timing;
 
 /// Maximum number of names without a mapping that are remembered per source.
@@ -31,6 +32,8 @@ struct Source {
     instrument: Instrument,
     /// State of its channels, in the order of the plan.
     channels: Vec<Channel>,
+    /// State of its conditions, in the order of the plan.
+    conditions: Vec<ConditionFeed>,
     /// Number of samples by the name of a channel without a mapping.
     unmapped: BTreeMap<String, u64>,
 }
@@ -95,8 +98,13 @@ impl Feed {
                 }
             };
             Source {
-                instrument: Instrument::new(seconds(plan.wait_s)),
+                instrument: match (plan.channels.is_empty(), plan.silent_after_s()) {
+                    (false, _) => Instrument::new(seconds(plan.wait_s)),
+                    (true, Some(silent_after_s)) => Instrument::slow(seconds(silent_after_s)),
+                    (true, None) => Instrument::slow(i64::MAX),
+                },
                 channels: plan.channels.iter().map(channel).collect(),
+                conditions: vec![ConditionFeed::default(); plan.conditions.len()],
                 unmapped: BTreeMap::new(),
             }
         });
@@ -143,6 +151,19 @@ impl Feed {
                     node.set_recorded(recorded);
                 }
             }
+            Input::Stored {
+                source,
+                condition,
+                newest_ns,
+            } => {
+                let conditions = self
+                    .sources
+                    .get_mut(source)
+                    .map(|state| &mut state.conditions);
+                if let Some(state) = conditions.and_then(|all| all.get_mut(condition)) {
+                    state.set_stored(newest_ns);
+                }
+            }
             Input::Tick => self.each_node(out, |node, given| node.tick(at, given)),
             Input::Stop => self.each_node(out, NodeFeed::stop),
         }
@@ -163,6 +184,15 @@ impl Feed {
             for (reason, count) in node.counts() {
                 *drops.entry((*reason).to_owned()).or_default() += count;
             }
+        }
+        let conditions = self.config.sources.iter().zip(&self.sources);
+        let repeated: u64 = conditions
+            .flat_map(|(plan, state)| plan.conditions.iter().zip(&state.conditions))
+            .filter(|(plan, _)| plan.structure == structure)
+            .map(|(_, state)| state.repeated())
+            .sum();
+        if repeated > 0 {
+            drops.insert("repeated-conditions".to_owned(), repeated);
         }
         drops
     }
@@ -196,6 +226,13 @@ impl Feed {
             ..channel.seen.clone()
         });
         Some((seen.collect(), &state.unmapped))
+    }
+
+    /// Returns the number of values of the conditions of a source, each with its last value.
+    pub(crate) fn seen_conditions(&self, source: usize) -> Vec<(u64, Option<f64>)> {
+        let state = self.sources.get(source);
+        let conditions = state.into_iter().flat_map(|state| &state.conditions);
+        conditions.map(ConditionFeed::published).collect()
     }
 
     fn error(&mut self, source: usize, why: String, count: u64, at: Moment, out: &mut Vec<Output>) {
@@ -232,8 +269,13 @@ impl Feed {
         let Some(plan) = self.config.sources.get(source) else {
             return;
         };
-        let mut is_mapped = false;
         let mut errors = Vec::new();
+        let mut is_mapped = match self.sources.get_mut(source) {
+            Some(state) => {
+                state.take_conditions(plan, Arriving { source, packet, at }, &mut errors, out)
+            }
+            None => false,
+        };
         for (index, channel) in plan.channels.iter().enumerate() {
             if channel.label != packet.label {
                 continue;
@@ -272,6 +314,48 @@ impl Feed {
         for why in errors {
             self.error(source, why, 1, at, out);
         }
+    }
+}
+
+/// A packet of one source.
+#[derive(Clone, Copy)]
+struct Arriving<'a> {
+    source: usize,
+    packet: &'a Packet,
+    at: Moment,
+}
+
+impl Source {
+    /// Gives a packet to the conditions that it belongs to. Returns `true` if there is one.
+    fn take_conditions(
+        &mut self,
+        plan: &SourcePlan,
+        Arriving { source, packet, at }: Arriving<'_>,
+        errors: &mut Vec<String>,
+        out: &mut Vec<Output>,
+    ) -> bool {
+        let mut is_mapped = false;
+        for (condition, of) in plan.conditions.iter().enumerate() {
+            let Some(state) = self.conditions.get_mut(condition) else {
+                continue;
+            };
+            if of.label != packet.label {
+                continue;
+            }
+            is_mapped = true;
+            let mut readings = Vec::new();
+            let taken = state.take(packet, of, plan.stamps, at, &mut readings);
+            errors.extend(taken.err());
+            self.instrument.accepted(readings.len() as u64, at);
+            let output = |reading: Reading| Output::Condition {
+                source,
+                condition,
+                time_ns: reading.time_ns,
+                value: reading.value,
+            };
+            out.extend(readings.into_iter().map(output));
+        }
+        is_mapped
     }
 }
 

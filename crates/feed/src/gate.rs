@@ -18,10 +18,20 @@ pub(crate) struct Ahead {
 }
 
 impl Ahead {
-    /// Records a published block.
+    /// Records a published block. Without room, it extends the last block, so that a source that
+    /// cannot wait needs no more memory.
     pub(crate) fn published(&mut self, last_ns: i64, samples: u64) {
-        self.blocks.push_back((last_ns, samples));
+        let has_room = self.has_room();
         self.samples += samples;
+        match self.blocks.back_mut() {
+            Some(last) if !has_room => *last = (last_ns.max(last.0), last.1 + samples),
+            _ => self.blocks.push_back((last_ns, samples)),
+        }
+    }
+
+    /// Forgets the published blocks, because the clock of their source was wrong.
+    pub(crate) fn forget(&mut self) {
+        *self = Self::default();
     }
 
     /// Records that ingest has processed everything up to `time_ns`.
@@ -53,5 +63,18 @@ mod tests {
         assert!(!ahead.has_room());
         ahead.processed(10);
         assert!(ahead.has_room());
+    }
+
+    #[test]
+    fn blocks_without_room_need_no_memory_and_are_processed_together() {
+        let mut ahead = Ahead::default();
+        for last_ns in 0..100_000 {
+            ahead.published(last_ns, 1);
+        }
+        assert_eq!(ahead.blocks.len() as u64, WINDOW);
+        ahead.processed(99_998);
+        assert!(!ahead.has_room());
+        ahead.processed(99_999);
+        assert_eq!((ahead.samples, ahead.blocks.len()), (0, 0));
     }
 }

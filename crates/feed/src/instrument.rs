@@ -41,6 +41,14 @@ impl Instrument {
         }
     }
 
+    /// Creates the state of a source that is silent after `silent_after_ns` without a value.
+    pub(crate) fn slow(silent_after_ns: i64) -> Self {
+        Self {
+            silent_after_ns: SILENT_AFTER_NS.max(silent_after_ns),
+            ..Self::new(0)
+        }
+    }
+
     /// Records a change of the connection. Returns the error to log, if there is one.
     pub(crate) fn link(&mut self, link: Link, at: Moment) -> Option<(String, u64)> {
         let (state, why) = match link {

@@ -3,7 +3,8 @@
 //! A [source](SourcePlan) is a connection to one instrument, or to a server of many. It delivers
 //! [packets](Packet): consecutive samples of one channel. The [core](Feed) converts them to SI
 //! units, assigns times to them, merges the channels of a node to rows, and cuts the rows into
-//! numbered blocks. The shell publishes the blocks on `sensor/NODE/samples`.
+//! numbered blocks. The shell publishes the blocks on `sensor/NODE/samples`. Slow quantities, such
+//! as temperatures, are conditions: the shell publishes each value on `condition/NAME`.
 //!
 //! ```
 //! use spandrel_feed::LineFormat;
@@ -15,7 +16,7 @@
 //! ```
 //!
 //! - [`FeedSettings`], [`FeedConfig`]: the configuration as read, and as checked
-//! - [`SourcePlan`], [`ChannelPlan`]: one source, and one of its channels
+//! - [`SourcePlan`], [`ChannelPlan`], [`ConditionPlan`]: one source, and one of its channels
 //! - [`Packet`], [`LineFormat`]: samples as they arrive, and the formats of text lines
 //! - [`Calibration`], [`StationXml`]: conversion to SI units
 //! - [`Feed`]: the core, without a clock or network
@@ -36,6 +37,7 @@ mod source_plan;
 mod station_xml;
 
 mod blocks;
+mod condition_feed;
 mod core_input;
 mod feed;
 mod gap;
@@ -52,7 +54,7 @@ mod shell;
 
 pub use blocks::BLOCK_S;
 pub use calibration::Calibration;
-pub use check::{CheckedChannel, CheckedSource, listen};
+pub use check::{CheckedChannel, CheckedCondition, CheckedSource, listen};
 pub use core_input::{Input, Link, Moment, Output, Recorded};
 pub use error::FeedError;
 pub use feed::Feed;
@@ -63,7 +65,8 @@ pub use packet::Packet;
 pub use settings::{FeedConfig, FeedSettings};
 pub use shell::{FeedPlan, FeedService, WhenEnded};
 pub use source_plan::{
-    ChannelPlan, DropFolder, GrowingFile, Login, MqttSession, MqttTopic, NodePlan, Payload,
-    SeedLinkServer, SeedLinkVersion, SourceKind, SourcePlan, Stamps, StartAt, StructurePlan,
+    ChannelPlan, ConditionPlan, DropFolder, GrowingFile, Login, MqttSession, MqttTopic, NodePlan,
+    Payload, SeedLinkServer, SeedLinkVersion, SourceKind, SourcePlan, Stamps, StartAt,
+    StructurePlan,
 };
 pub use station_xml::StationXml;

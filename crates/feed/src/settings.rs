@@ -1,6 +1,7 @@
 //! The configuration of the feed: `[[feed.source]]`.
 
 mod calibrated;
+mod condition;
 mod kind;
 mod mqtt;
 
@@ -16,7 +17,7 @@ use crate::mistake::Mistake;
 use crate::section::Section;
 use crate::source_plan::{ChannelPlan, NodePlan, SourceKind, SourcePlan, StructurePlan};
 use crate::station_xml::StationXml;
-use kind::KINDS;
+use kind::{KINDS, Stamped};
 
 /// Default time that a row waits for other channels of its node, s. Packets of the common
 /// instruments cover less.
@@ -47,6 +48,22 @@ pub struct FeedConfig {
     pub sources: Vec<SourcePlan>,
     /// Remarks for people, such as channels without a source.
     pub remarks: Vec<String>,
+}
+
+impl FeedConfig {
+    /// Returns `true` if a source feeds a node or a condition of a structure.
+    pub(crate) fn feeds(&self, structure: usize) -> bool {
+        let mut conditions = self.sources.iter().flat_map(|source| &source.conditions);
+        self.nodes.iter().any(|node| node.structure == structure)
+            || conditions.any(|condition| condition.structure == structure)
+    }
+
+    /// Returns the structures whose nodes a source feeds.
+    pub(crate) fn structures_of(&self, source: &SourcePlan) -> BTreeSet<usize> {
+        let channels = source.channels.iter();
+        let nodes = channels.filter_map(|channel| self.nodes.get(channel.node));
+        nodes.map(|node| node.structure).collect()
+    }
 }
 
 impl FeedSettings {
@@ -81,6 +98,7 @@ impl FeedSettings {
             },
             names: BTreeSet::new(),
             fed: BTreeMap::new(),
+            fed_conditions: BTreeMap::new(),
             files: BTreeMap::new(),
             mistakes: Vec::new(),
         };
@@ -110,6 +128,8 @@ struct Reading<'a> {
     names: BTreeSet<String>,
     /// Key of the channel of a source, by structure and channel.
     fed: BTreeMap<(usize, String), String>,
+    /// The same for conditions.
+    fed_conditions: BTreeMap<(usize, String), String>,
     /// StationXML files by their path. `None` for a file with an error.
     files: BTreeMap<PathBuf, Option<StationXml>>,
     mistakes: Vec<Mistake>,
@@ -136,13 +156,25 @@ impl Reading<'_> {
             section.report("kind", "is missing", allowed, mistakes);
         }
         let channels = section.tables("channel", mistakes);
-        if channels.is_empty() {
-            let allowed = "must have at least one channel: [[feed.source.channel]]";
+        let conditions = section.tables("condition", mistakes);
+        if channels.is_empty() && conditions.is_empty() {
+            let allowed = "must have at least one channel, [[feed.source.channel]], or condition, \
+                           [[feed.source.condition]]";
             section.report("channel", "is missing", allowed, mistakes);
         }
-        let labels: Vec<String> = channels.iter().filter_map(Section::label).collect();
+        let labels = channels.iter().chain(&conditions);
+        let mut known = BTreeSet::new();
+        // A channel of the source can be both a channel and a condition. It is read once.
+        let labels: Vec<String> = labels
+            .filter_map(Section::label)
+            .filter(|label| known.insert(label.clone()))
+            .collect();
         let kind = kind.and_then(|kind| self.kind(kind, &mut section, labels));
-        let stamps = self.stamps(&mut section, kind.as_ref());
+        let stamped = match channels.is_empty() {
+            true => Stamped::Conditions,
+            false => Stamped::Channels,
+        };
+        let stamps = self.stamps(&mut section, kind.as_ref(), stamped);
         let mistakes = &mut self.mistakes;
         let wait_s = section.number(
             "wait-s",
@@ -153,6 +185,10 @@ impl Reading<'_> {
         let channels = channels
             .into_iter()
             .filter_map(|channel| self.channel(channel))
+            .collect();
+        let conditions = conditions
+            .into_iter()
+            .filter_map(|condition| self.condition(condition))
             .collect();
         section.finish(&mut self.mistakes);
         let default_wait_s = match kind {
@@ -167,6 +203,7 @@ impl Reading<'_> {
                 stamps,
                 wait_s: wait_s.unwrap_or(default_wait_s),
                 channels,
+                conditions,
             });
         }
     }

@@ -1,5 +1,7 @@
 //! Connects the core to the sources and to the bus.
 
+mod conditions;
+mod of_history;
 mod of_ingest;
 
 use std::time::Duration;
@@ -23,6 +25,7 @@ use crate::gap::GapReport;
 use crate::gate::Ahead;
 use crate::settings::FeedConfig;
 use crate::source_plan::SourcePlan;
+use conditions::Conditions;
 use of_ingest::last_ns;
 
 /// Interval at which time passes for the core. Blocks of slow channels wait so long at most.
@@ -60,12 +63,13 @@ pub struct FeedService {
     publishers: Vec<NumberedPublisher<SampleBlock>>,
     /// The samples of each node that ingest has not processed.
     ahead: Vec<Ahead>,
+    conditions: Conditions,
     structures: Vec<FedStructure>,
     node_tokens: Vec<LiveToken>,
     when_ended: WhenEnded,
 }
 
-/// A structure with at least one node that a source feeds.
+/// A structure with at least one node or condition that a source feeds.
 #[derive(Debug)]
 struct FedStructure {
     /// Index in the configuration.
@@ -121,7 +125,7 @@ impl FeedService {
         }
         let mut structures = Vec::new();
         for (index, of) in monitored.iter().enumerate() {
-            if !config.nodes.iter().any(|node| node.structure == index) {
+            if !config.feeds(index) {
                 continue;
             }
             structures.push(FedStructure {
@@ -154,6 +158,7 @@ impl FeedService {
             clocks: Clocks::start(instance.clock),
             publishers,
             ahead: vec![Ahead::default(); config.nodes.len()],
+            conditions: Conditions::declare(bus, monitored, config).await?,
             structures,
             node_tokens,
             when_ended: *when_ended,
@@ -188,23 +193,32 @@ impl FeedService {
             };
             self.handle(input).await?;
         }
+        let stored = tokio::select! {
+            stored = self.stored() => stored,
+            () = &mut stop => return self.withdraw().await,
+        };
+        for input in stored.iter().map(of_history::Stored::input) {
+            self.handle(input).await?;
+        }
         for (index, outlet) in outlets {
             let Some(source) = sources.get(index) else {
                 continue;
             };
-            let of_source = |structure: &usize| {
-                let nodes = &self.core.config().nodes;
-                let node = |node: usize| nodes.get(node).map(|node| node.structure);
-                source
-                    .channels
-                    .iter()
-                    .any(|channel| node(channel.node) == Some(*structure))
-            };
-            let since_ns = recorded
+            let fed = self.core.config().structures_of(source);
+            let frames_ns = recorded
                 .iter()
-                .filter(|(structure, _)| of_source(structure))
+                .filter(|(structure, _)| fed.contains(structure))
                 .map(|(_, recorded)| last_ns(recorded))
                 .min();
+            let of_source = stored.iter().filter(|stored| stored.source == index);
+            let conditions_ns = of_source.map(|stored| stored.newest_ns).min();
+            let since_ns = match source.channels.is_empty() {
+                true => conditions_ns,
+                // Values that the history has not written yet are older than the last frame.
+                false => {
+                    frames_ns.map(|frames_ns| conditions_ns.unwrap_or(frames_ns).min(frames_ns))
+                }
+            };
             connections.spawn(read(source, since_ns, outlet));
         }
         self.serve(&mut arrivals, &mut stop).await?;
@@ -271,12 +285,26 @@ impl FeedService {
                         publisher.put(block).await?;
                     }
                 }
+                Output::Condition {
+                    source,
+                    condition,
+                    time_ns,
+                    value,
+                } => {
+                    self.conditions
+                        .put((source, condition), time_ns, value)
+                        .await?
+                }
                 Output::Lost(lost) => self.report_lost(&lost).await?,
                 Output::SetBack {
                     node,
                     from_ns,
                     to_ns,
                 } => {
+                    // Ingest never reaches the times that the wrong clock stated.
+                    if let Some(ahead) = self.ahead.get_mut(node) {
+                        ahead.forget();
+                    }
                     let node = self.core.config().nodes.get(node);
                     let name = node.map_or("", |node| node.name.as_str());
                     warn!(
@@ -344,10 +372,15 @@ impl FeedService {
             let (processed_ns, done) = self.core.published(of.index);
             let config = self.core.config();
             let feeds = |source: &SourcePlan| {
-                source.channels.iter().any(|channel| {
-                    let node = config.nodes.get(channel.node);
-                    node.is_some_and(|node| node.structure == of.index)
-                })
+                let of_conditions = source
+                    .conditions
+                    .iter()
+                    .map(|condition| condition.structure);
+                let mut fed = config
+                    .structures_of(source)
+                    .into_iter()
+                    .chain(of_conditions);
+                fed.any(|structure| structure == of.index)
             };
             let instruments = config
                 .sources

@@ -21,7 +21,29 @@ pub struct SourcePlan {
     pub wait_s: f64,
     /// Channels of the source.
     pub channels: Vec<ChannelPlan>,
+    /// Conditions of the source.
+    pub conditions: Vec<ConditionPlan>,
 }
+
+impl SourcePlan {
+    /// Returns the names of all channels and conditions in the source.
+    pub(crate) fn labels(&self) -> Vec<String> {
+        let channels = self.channels.iter().map(|channel| &channel.label);
+        let conditions = self.conditions.iter().map(|condition| &condition.label);
+        channels.chain(conditions).cloned().collect()
+    }
+
+    /// Returns the time without a value after which the source is silent, s, unless its channels
+    /// determine it. `None` if no value is expected within a known time.
+    pub(crate) fn silent_after_s(&self) -> Option<f64> {
+        let intervals = self.conditions.iter().map(|condition| condition.interval_s);
+        let longest = intervals.collect::<Option<Vec<f64>>>()?.into_iter();
+        Some(SILENT_AFTER_INTERVALS * longest.fold(0.0, f64::max))
+    }
+}
+
+/// Number of intervals without a value after which a source of conditions is silent.
+const SILENT_AFTER_INTERVALS: f64 = 2.0;
 
 /// Kind and address of a source.
 #[derive(Clone, Debug, PartialEq)]
@@ -261,6 +283,25 @@ pub struct ChannelPlan {
     pub unit: &'static str,
 }
 
+/// A channel of a source, and the condition of a structure that it measures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConditionPlan {
+    /// Name of the channel in the source.
+    pub label: String,
+    /// Index into the structures of the configuration.
+    pub structure: usize,
+    /// Name of the condition in the structure file.
+    pub name: String,
+    /// Unit of the condition.
+    pub unit: &'static str,
+    /// Lowest and highest plausible value, in the unit.
+    pub range: Option<(f64, f64)>,
+    /// Expected time between two values, s.
+    pub interval_s: Option<f64>,
+    /// Conversion to the unit of the condition.
+    pub calibration: Calibration,
+}
+
 /// A node with at least one channel that a source feeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NodePlan {
@@ -274,7 +315,7 @@ pub struct NodePlan {
     pub rate_hz: f64,
 }
 
-/// A structure with at least one node that a source feeds.
+/// A structure of the configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StructurePlan {
     /// Name.

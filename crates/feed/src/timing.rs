@@ -11,6 +11,8 @@ pub(crate) struct Timing {
     step_ns: f64,
     /// Time of the next sample if samples are counted, ns.
     expected_ns: Option<i64>,
+    /// Wall clock minus monotonic clock at the previous packet, ns.
+    clock_ns: Option<i64>,
 }
 
 /// A packet with a time.
@@ -30,6 +32,7 @@ impl Timing {
             stamps,
             step_ns: 1e9 / rate_hz,
             expected_ns: None,
+            clock_ns: None,
         }
     }
 
@@ -61,6 +64,13 @@ impl Timing {
         // The last sample of a packet arrives when it is measured.
         let before_last_ns = (count.saturating_sub(1) as f64 * self.step_ns) as i64;
         let arrived_ns = at.wall_ns.saturating_sub(before_last_ns);
+        let clock_ns = at.wall_ns.saturating_sub(at.elapsed_ns);
+        let before_ns = self.clock_ns.replace(clock_ns).unwrap_or(clock_ns);
+        if before_ns.saturating_sub(clock_ns) as f64 > jitter_s * 1e9 {
+            // The clock of this computer was set back. Samples would otherwise have no place until
+            // it reaches the former time.
+            self.expected_ns = None;
+        }
         let expected_ns = self.expected_ns.unwrap_or(arrived_ns);
         let off_ns = arrived_ns.saturating_sub(expected_ns);
         let steps = || (off_ns.unsigned_abs() as f64 / self.step_ns).round() as u64;
@@ -107,9 +117,27 @@ mod tests {
         };
         let at = Moment {
             wall_ns: wall_ms * MS,
-            elapsed_ns: 0,
+            elapsed_ns: wall_ms * MS,
         };
         timing.time(&packet, at).unwrap()
+    }
+
+    #[test]
+    fn samples_after_the_clock_was_set_back_are_used() {
+        let mut timing = Timing::new(Stamps::Arrival { jitter_s: 0.05 }, 100.0);
+        arriving(&mut timing, 10, 3_600_090);
+        let packet = Packet {
+            label: "a".to_owned(),
+            start_ns: None,
+            rate_hz: None,
+            values: vec![0.0; 10],
+        };
+        let at = Moment {
+            wall_ns: 190 * MS,
+            elapsed_ns: 3_600_190 * MS,
+        };
+        let timed = timing.time(&packet, at).unwrap();
+        assert_eq!((timed.start_ns, timed.skip), (100 * MS, 0));
     }
 
     #[test]

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn offset_starts_no_transient_and_gaps_stay_gaps() {
+    fn offset_causes_no_transient_and_gaps_remain_gaps() {
         let mut filter = BandLimit::low_pass(4, 6.0, 120.0, 2).unwrap();
         for k in 0..50 {
             let mut frame = [9.81, if k == 7 { f64::NAN } else { -2.0 }];

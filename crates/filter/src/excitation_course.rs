@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn crests_of_a_smooth_motion_are_followed() {
+    fn crests_of_a_smooth_motion_are_reconstructed() {
         // 10 Hz at 50 and at 100 samples per second, with a second sine so that the phases do not
         // repeat.
         for (rate, most_left) in [(50.0, 0.3), (100.0, 0.1)] {
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn independent_samples_are_left_alone() {
+    fn independent_samples_are_not_corrected() {
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let samples: Vec<f64> = (0..20_000)
             .map(|_| StandardNormal.sample(&mut random))
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_samples_and_silence_correct_nothing() {
+    fn missing_samples_and_silence_cause_no_correction() {
         let mut course = ExcitationCourse::new(1, 1);
         let (unit, silent) = (DMatrix::from_element(1, 1, 1.0), DVector::zeros(1));
         let corrects = |course: &ExcitationCourse, last: f64, next: f64| {

@@ -594,7 +594,7 @@ mod tests {
     }
 
     #[test]
-    fn parameter_far_from_its_prior_is_a_contradiction_only_where_the_motion_is_not_explained() {
+    fn parameter_far_from_its_prior_contradicts_only_if_the_motion_is_not_explained() {
         for (left, verdict) in [(0.1, FitVerdict::Doubtful), (0.9, FitVerdict::Contradicted)] {
             let mut fit = started();
             take(&mut fit, 0..300, left, 0.1);

@@ -522,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn filter_that_learns_steadily_sustains_its_published_variance() {
+    fn steady_information_sustains_the_published_variance() {
         let (sustained, published) = variances(&[1000.0; 12]);
         let ratio = sustained.unwrap() / published;
         // The sums are discrete: λ/(λ − 1) differs from 1/ln λ by half a step of 577.
@@ -530,7 +530,7 @@ mod tests {
     }
 
     #[test]
-    fn filter_that_ceased_to_learn_a_half_life_ago_sustains_nothing() {
+    fn filter_without_information_for_a_half_life_sustains_no_variance() {
         let (sustained, published) = variances(&[1000.0, 1000.0, 1000.0, 0.0]);
         assert_eq!(sustained, Some(f64::INFINITY));
         assert!(
@@ -540,7 +540,7 @@ mod tests {
     }
 
     #[test]
-    fn filter_that_learns_a_hundredth_sustains_a_hundred_times_the_variance() {
+    fn a_hundredth_of_the_information_sustains_a_hundred_times_the_variance() {
         let before = variances(&[1000.0; 12]).0.unwrap();
         let mut calm = [1000.0; 13];
         calm[12] = 10.0;

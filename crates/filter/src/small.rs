@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn congruence_is_that_of_nalgebra_and_symmetric_to_the_bit() {
+    fn congruence_agrees_with_nalgebra_and_is_exactly_symmetric() {
         for (n, arch) in
             (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
         {
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn outer_products_are_subtracted_alike_from_both_triangles() {
+    fn outer_products_are_subtracted_identically_from_both_triangles() {
         for (n, arch) in
             (1..=MOST_ROWS).flat_map(|n| all_instructions().into_iter().map(move |arch| (n, arch)))
         {

@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn stationary_filter_is_what_a_long_recursion_ends_in() {
+    fn stationary_filter_is_the_limit_of_the_recursion() {
         let model = model(2.0, 1e-3);
         let found = stationary_gain(&model).unwrap();
         let mut filter =
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn error_of_a_wrong_gain_is_what_a_long_recursion_ends_in() {
+    fn error_of_a_wrong_gain_satisfies_the_recursion() {
         let (truth, believed) = (model(2.0, 1e-3), model(0.5, 0.1));
         let gain = stationary_gain(&believed).unwrap().gain;
         let found = stationary_error_covariance(&truth, &gain).unwrap();

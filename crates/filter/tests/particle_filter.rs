@@ -354,7 +354,7 @@ fn known_linear_system_gives_the_extended_kalman_filter() {
 }
 
 #[test]
-fn sensors_that_feel_the_excitation_give_the_extended_kalman_filter() {
+fn sensors_with_a_direct_term_give_the_extended_kalman_filter() {
     for seed in [1, 2, 3] {
         let motion = simulate(seed, 200);
         // Prior sampling wastes many draws of a directly measured excitation. It needs noisy

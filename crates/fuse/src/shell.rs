@@ -215,6 +215,9 @@ impl FuseService {
                         self.handle(FusionInput::Tick(self.clock.now_ns())).await?;
                         ticks += 1;
                         if ticks % TICKS_PER_STATUS == 0 {
+                            if let Some(keeper) = &mut self.keeper {
+                                keeper.look().await;
+                            }
                             self.put_status().await?;
                         }
                     }

@@ -107,13 +107,14 @@ mod tests {
             structure: "spandrel/tower".to_owned(),
             number,
             points,
+            conditions: Vec::new(),
             buckets,
             happened: Vec::new(),
         }
     }
 
     #[test]
-    fn what_waits_is_bounded_and_what_went_is_counted() {
+    fn backlog_is_bounded_and_dropped_rows_are_counted() {
         let mut backlog = Backlog::new(100);
         (1..=1_000).for_each(|number| backlog.push(batch(number)));
         assert!(backlog.rows() <= 100);
@@ -136,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn batches_leave_in_order_when_they_are_written() {
+    fn written_batches_are_removed_in_order() {
         let mut backlog = Backlog::new(1_000);
         (1..=5).for_each(|number| backlog.push(batch(number)));
         assert_eq!(backlog.oldest(1).len(), 1);

@@ -1,9 +1,9 @@
 //! The unit of writing, and its collection from messages.
 
 use crate::sums::Sums;
-use spandrel_bus::{Acknowledgement, AlertMessage, CredibleInterval, Event};
+use spandrel_bus::{Acknowledgement, AlertMessage, ConditionDisplay, CredibleInterval, Event};
 use spandrel_listener::Input;
-use spandrel_structure::Structure;
+use spandrel_structure::{Condition, Structure};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Lengths of the aggregation intervals (s): a minute, an hour, a day.
@@ -12,6 +12,9 @@ pub(crate) const RESOLUTIONS_S: [i64; 3] = [60, 3_600, 86_400];
 const OTHER_SERIES: usize = 256;
 
 const SECOND_NS: i64 = 1_000_000_000;
+/// Largest time by which a condition may be ahead of the clock (ns). A value with a later time would
+/// keep all others out, because values must be newer than the newest stored one.
+const MAX_AHEAD_NS: i64 = 60 * SECOND_NS;
 
 /// The kind of quantity of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -29,16 +32,19 @@ pub(crate) enum Kind {
     Class,
     /// The distance of a node's own estimate from those of the other nodes.
     Node,
+    /// A condition (in its unit), such as a temperature.
+    Condition,
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 7] = [
         Self::Parameter,
         Self::Loss,
         Self::Noise,
         Self::Outlier,
         Self::Class,
         Self::Node,
+        Self::Condition,
     ];
 
     /// Returns the name of the kind in queries and in the database.
@@ -50,6 +56,7 @@ impl Kind {
             Self::Outlier => "outlier",
             Self::Class => "class",
             Self::Node => "node",
+            Self::Condition => "condition",
         }
     }
 }
@@ -70,8 +77,11 @@ pub(crate) struct Batch {
     pub(crate) number: i64,
     /// Display values: series, time (ns), mean, standard deviation, probability of loss.
     pub(crate) points: Vec<(Series, i64, [f64; 3])>,
-    /// Contributions of these values to their minute, hour and day: series, resolution (s), start
-    /// (s).
+    /// Values of conditions: series, time (ns), value. Their contributions to the minute, hour and
+    /// day are computed when they are written, because they may be repeated.
+    pub(crate) conditions: Vec<(Series, i64, f64)>,
+    /// Contributions of the display values to their minute, hour and day: series, resolution (s),
+    /// start (s).
     pub(crate) buckets: BTreeMap<(Series, i64, i64), Sums>,
     /// Alerts, acknowledgements and events.
     pub(crate) happened: Vec<Happened>,
@@ -88,7 +98,7 @@ pub(crate) enum Happened {
 impl Batch {
     /// Returns the number of database rows.
     pub(crate) fn rows(&self) -> usize {
-        self.points.len() + self.buckets.len() + self.happened.len()
+        self.points.len() + self.conditions.len() + self.buckets.len() + self.happened.len()
     }
 }
 
@@ -98,12 +108,17 @@ pub(crate) struct Collector {
     structure: String,
     known: BTreeSet<Series>,
     others: BTreeSet<Series>,
+    declared: Vec<Condition>,
+    now_ns: i64,
     points: Vec<(Series, i64, [f64; 3])>,
+    conditions: Vec<(Series, i64, f64)>,
     happened: Vec<Happened>,
-    /// Time of the newest value (ns since the Unix epoch, UTC).
+    /// Time of the newest display value (ns since the Unix epoch, UTC).
     pub(crate) newest_ns: Option<i64>,
     /// Number of values of quantities that the structure file does not name.
     pub(crate) unknown: u64,
+    /// Numbers of rejected values of conditions, by reason.
+    pub(crate) rejected: BTreeMap<&'static str, u64>,
 }
 
 impl Collector {
@@ -121,6 +136,10 @@ impl Collector {
             .map(|node| series(Kind::Node, node.name()));
         let channels = structure.nodes().iter().flat_map(|node| node.channels());
         let channels = channels.map(|channel| series(Kind::Outlier, channel.name()));
+        let conditions = structure
+            .conditions()
+            .iter()
+            .map(|condition| series(Kind::Condition, condition.name()));
         let levels = structure
             .noise_levels()
             .iter()
@@ -131,18 +150,28 @@ impl Collector {
                 .chain(levels)
                 .chain(nodes)
                 .chain(channels)
+                .chain(conditions)
                 .collect(),
             others: BTreeSet::new(),
+            declared: structure.conditions().to_vec(),
+            now_ns: i64::MAX,
             points: Vec::new(),
+            conditions: Vec::new(),
             happened: Vec::new(),
             newest_ns: None,
             unknown: 0,
+            rejected: BTreeMap::new(),
         }
     }
 
     /// Returns the series that the structure file names.
     pub(crate) fn named(&self) -> &BTreeSet<Series> {
         &self.known
+    }
+
+    /// Sets the wall-clock time of the next messages (ns since the Unix epoch).
+    pub(crate) fn set_now(&mut self, now_ns: i64) {
+        self.now_ns = now_ns;
     }
 
     /// Processes a message. Ignores inputs that are not stored.
@@ -193,6 +222,7 @@ impl Collector {
                     self.push(Kind::Node, m.node.as_str(), m.time_ns, [distance, 0.0, 0.0]);
                 }
             }
+            Input::Condition(m) => self.take_condition(&m),
             // The database stores a change once, however often it arrives.
             Input::Alert(alert) | Input::StandingAlert(alert) | Input::LoggedAlert(alert) => {
                 self.happened.push(Happened::Alert(Box::new(alert)));
@@ -204,6 +234,7 @@ impl Collector {
             Input::Now(_)
             | Input::Fit(_)
             | Input::SensorHealth(_)
+            | Input::StandingCondition(..)
             | Input::Monitoring(_)
             | Input::Estimates(..)
             | Input::Status(_)
@@ -211,6 +242,35 @@ impl Collector {
             | Input::Present(_)
             | Input::Past(_)
             | Input::Misplaced => {}
+        }
+    }
+
+    /// Stores a value of a condition, unless it contradicts the structure file or the clock.
+    fn take_condition(&mut self, message: &ConditionDisplay) {
+        let name = message.name.as_str();
+        let Some(declared) = self.declared.iter().find(|known| known.name() == name) else {
+            self.unknown += 1;
+            return;
+        };
+        let fault = if message.unit != declared.unit() {
+            Some("wrong-unit")
+        } else if !declared.is_plausible(message.value) {
+            Some("out-of-range")
+        } else if message.time_ns > self.now_ns.saturating_add(MAX_AHEAD_NS) {
+            Some("ahead-of-clock")
+        } else {
+            None
+        };
+        match fault {
+            Some(fault) => *self.rejected.entry(fault).or_default() += 1,
+            None => {
+                let series = Series {
+                    kind: Kind::Condition,
+                    name: name.to_owned(),
+                };
+                self.conditions
+                    .push((series, message.time_ns, message.value));
+            }
         }
     }
 
@@ -234,28 +294,36 @@ impl Collector {
 
     /// Returns the messages collected since the last call, or `None` if there were none.
     pub(crate) fn take(&mut self, number: i64) -> Option<Batch> {
-        let (points, happened) = (
+        let (points, conditions, happened) = (
             std::mem::take(&mut self.points),
+            std::mem::take(&mut self.conditions),
             std::mem::take(&mut self.happened),
         );
-        if points.is_empty() && happened.is_empty() {
+        if points.is_empty() && conditions.is_empty() && happened.is_empty() {
             return None;
-        }
-        let mut buckets: BTreeMap<(Series, i64, i64), Sums> = BTreeMap::new();
-        for (series, time_ns, values) in &points {
-            let value = Sums::of(*time_ns, *values);
-            for resolution_s in RESOLUTIONS_S {
-                let start_s = time_ns.div_euclid(resolution_s * SECOND_NS) * resolution_s;
-                let bucket = buckets.entry((series.clone(), resolution_s, start_s));
-                bucket.and_modify(|sums| sums.add(&value)).or_insert(value);
-            }
         }
         Some(Batch {
             structure: self.structure.clone(),
             number,
+            buckets: buckets(&points),
             points,
-            buckets,
+            conditions,
             happened,
         })
     }
+}
+
+/// Returns the contributions of values to their minute, hour and day: series, resolution (s), start
+/// (s).
+pub(crate) fn buckets(points: &[(Series, i64, [f64; 3])]) -> BTreeMap<(Series, i64, i64), Sums> {
+    let mut buckets: BTreeMap<(Series, i64, i64), Sums> = BTreeMap::new();
+    for (series, time_ns, values) in points {
+        let value = Sums::of(*time_ns, *values);
+        for resolution_s in RESOLUTIONS_S {
+            let start_s = time_ns.div_euclid(resolution_s * SECOND_NS) * resolution_s;
+            let bucket = buckets.entry((series.clone(), resolution_s, start_s));
+            bucket.and_modify(|sums| sums.add(&value)).or_insert(value);
+        }
+    }
+    buckets
 }

@@ -1,32 +1,28 @@
 //! The database, a SQLite file or a PostgreSQL server, with the same statements for both.
 
+mod file;
+mod opening;
 mod writing;
 
 use crate::batch::{Batch, Kind, RESOLUTIONS_S, Series};
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
 use crate::sums::{Sums, rows};
+pub(crate) use opening::CorruptFile;
+use opening::Opened;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Event, HistoryLog, HistorySpan, Name, SpanQuery,
 };
-use sqlx::any::{AnyPoolOptions, AnyRow, install_default_drivers};
-use sqlx::migrate::{MigrateError, Migration, MigrationType, Migrator};
-use sqlx::{AnyPool, AssertSqlSafe, Executor, Row, SqlSafeStr};
-use std::borrow::Cow;
+use sqlx::any::{AnyConnectOptions, AnyRow, install_default_drivers};
+use sqlx::{AnyPool, AssertSqlSafe, Executor, Row};
 use std::collections::HashMap;
-use std::fs::OpenOptions;
-use std::path::Path;
-use std::sync::Arc;
+use std::str::FromStr as _;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
-use tokio::sync::{Mutex, OnceCell};
+use std::sync::{Arc, MutexGuard, PoisonError};
+use tokio::sync::Mutex;
 use tracing::warn;
 use writing::{Care, Failed, SetAside, Writing};
 
-/// Maximum number of connections: one writes, the others serve queries.
-const CONNECTIONS: u32 = 4;
-/// Time limit for a connection to the database.
-const CONNECT_WITHIN: Duration = Duration::from_secs(5);
 /// Maximum number of rows for a reply. A longer span uses a coarser resolution.
 const MOST_ROWS: i64 = 50_000;
 /// Interval between display values (ns): ten per second.
@@ -36,90 +32,49 @@ const SECOND_NS: i64 = 1_000_000_000;
 /// The database handle. Cloning is cheap.
 #[derive(Clone, Debug)]
 pub(crate) struct Database {
-    pool: AnyPool,
     address: Address,
-    migrated: Arc<OnceCell<()>>,
-    /// IDs of the series that exist in the database.
+    opened: Arc<Mutex<Opened>>,
+    /// IDs of the series that exist in the database. Whoever holds this lock writes; SQLite permits
+    /// one writer, and rejects another one in the middle of its transaction.
     numbers: Arc<Mutex<HashMap<(String, Series), i64>>>,
     /// Number of rows that the database rejected permanently.
     set_aside: Arc<AtomicU64>,
+    /// Corrupt files under their new names, until they are reported.
+    corrupt: Arc<std::sync::Mutex<Vec<CorruptFile>>>,
+    /// Number of values of conditions that were not newer than those in the database.
+    repeated: Arc<AtomicU64>,
 }
 
 impl Database {
-    /// Configures the connections without opening one.
+    /// Describes the database without opening it.
     pub(crate) fn new(address: &Address) -> Result<Self, HistoryError> {
         install_default_drivers();
-        let is_file = matches!(address, Address::Sqlite(_));
-        let options = AnyPoolOptions::new()
-            .max_connections(CONNECTIONS)
-            .acquire_timeout(CONNECT_WITHIN)
-            .after_connect(move |connection, _| {
-                Box::pin(async move {
-                    if is_file {
-                        connection.execute("PRAGMA busy_timeout = 5000").await?;
-                        // If the file is unreadable, the next statement reports the reason. An
-                        // error here would only appear as a timeout of the pool.
-                        let _ = connection.execute("PRAGMA synchronous = NORMAL").await;
-                    }
-                    Ok(())
-                })
-            });
-        let pool = options
-            .connect_lazy(&address.url())
-            .map_err(|source| database_error(address, source))?;
+        // An address that the driver cannot read will not become readable.
+        let options = AnyConnectOptions::from_str(&address.url());
+        options.map_err(|source| database_error(address, source))?;
         Ok(Self {
-            pool,
             address: address.clone(),
-            migrated: Arc::default(),
+            opened: Arc::default(),
             numbers: Arc::default(),
             set_aside: Arc::default(),
+            corrupt: Arc::default(),
+            repeated: Arc::default(),
         })
     }
 
-    fn error(&self, source: sqlx::Error) -> HistoryError {
-        database_error(&self.address, source)
-    }
-
-    /// Migrates the tables to the version of this program, once.
+    /// Opens the database if it is not open, and migrates the tables to the version of this program.
     pub(crate) async fn ready(&self) -> Result<(), HistoryError> {
-        self.migrated
-            .get_or_try_init(|| self.migrate())
-            .await
-            .copied()
+        self.pool().await.map(drop)
     }
 
-    async fn migrate(&self) -> Result<(), HistoryError> {
-        let sql = match &self.address {
-            Address::Sqlite(path) => {
-                make_file(path)?;
-                // WAL mode is stored in the file. Readers see the last committed state during a
-                // write. A crash of the machine can lose the last seconds, but does not damage the
-                // file.
-                let journal = sqlx::query("PRAGMA journal_mode = WAL")
-                    .execute(&self.pool)
-                    .await;
-                journal.map_err(|source| self.error(source))?;
-                include_str!("../migrations/sqlite-1.sql")
-            }
-            Address::Postgres(_) => include_str!("../migrations/postgres-1.sql"),
-        };
-        let first = Migration::new(
-            1,
-            Cow::Borrowed("history"),
-            MigrationType::Simple,
-            sql.into_sql_str(),
-            false,
-        );
-        let migrated = Migrator::with_migrations(vec![first]).run(&self.pool).await;
-        migrated.map_err(|source| match source {
-            MigrateError::Execute(source) | MigrateError::ExecuteMigration(source, _) => {
-                self.error(source)
-            }
-            source => HistoryError::Version {
-                database: self.address.to_string(),
-                source,
-            },
-        })
+    /// Returns the corrupt files that have been set aside since the last call.
+    pub(crate) fn take_corrupt(&self) -> Vec<CorruptFile> {
+        std::mem::take(&mut self.corrupt_files())
+    }
+
+    fn corrupt_files(&self) -> MutexGuard<'_, Vec<CorruptFile>> {
+        // No code that holds this lock panics.
+        self.corrupt.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Writes all batches in one transaction, except batches that an earlier attempt of the same
@@ -135,34 +90,40 @@ impl Database {
         if batches.is_empty() {
             return Ok(());
         }
-        self.ready().await?;
+        let pool = self.pool().await?;
         let mut numbers = self.numbers.lock().await;
         let written = match self
-            .write_once(life, batches, &mut numbers, Care::ManyRowsAtOnce)
+            .write_once(&pool, life, batches, &mut numbers, Care::ManyRowsAtOnce)
             .await
         {
             Err(failed) if failed.is_of_the_rows(&self.address) => {
-                self.write_once(life, batches, &mut numbers, Care::SettingAside)
+                self.write_once(&pool, life, batches, &mut numbers, Care::SettingAside)
                     .await
             }
             written => written,
         };
-        written.map_err(|failed| match failed {
+        drop(numbers);
+        let written = written.map_err(|failed| match failed {
             Failed::Database(source) => self.error(source),
             Failed::Message(source) => source.into(),
-        })
+        });
+        if let Err(error) = &written {
+            self.check_file(error).await;
+        }
+        written
     }
 
     async fn write_once(
         &self,
+        pool: &AnyPool,
         life: &str,
         batches: &[Arc<Batch>],
         numbers: &mut HashMap<(String, Series), i64>,
         care: Care,
     ) -> Result<(), Failed> {
-        let mut connection = self.pool.acquire().await?;
+        let mut connection = pool.acquire().await?;
         let written = async {
-            connection.execute("BEGIN").await?;
+            connection.execute(self.begin()).await?;
             let mut writing = Writing::new(&mut connection, &self.address, care, numbers);
             writing.write_all(life, batches).await?;
             let (found, set_aside) = writing.end();
@@ -170,8 +131,16 @@ impl Database {
             Ok((found, set_aside))
         };
         match written.await {
-            Ok((found, SetAside { rows, reason })) => {
+            Ok((
+                found,
+                SetAside {
+                    rows,
+                    repeated,
+                    reason,
+                },
+            )) => {
                 numbers.extend(found);
+                self.repeated.fetch_add(repeated, Ordering::Relaxed);
                 let before = self.set_aside.fetch_add(rows, Ordering::Relaxed);
                 let total = before + rows;
                 // A permanently rejected value can recur every second. It is therefore logged only
@@ -195,9 +164,25 @@ impl Database {
         }
     }
 
+    /// Returns the statement that begins a transaction that writes.
+    ///
+    /// A transaction of SQLite that first reads fails at once if another process has written before
+    /// its own first write. With `IMMEDIATE`, it waits for the other one instead.
+    fn begin(&self) -> &'static str {
+        match &self.address {
+            Address::Sqlite(_) => "BEGIN IMMEDIATE",
+            Address::Postgres(_) => "BEGIN",
+        }
+    }
+
     /// Returns the number of rows that the database rejected permanently.
     pub(crate) fn set_aside(&self) -> u64 {
         self.set_aside.load(Ordering::Relaxed)
+    }
+
+    /// Returns the number of values of conditions that were not newer than those in the database.
+    pub(crate) fn repeated(&self) -> u64 {
+        self.repeated.load(Ordering::Relaxed)
     }
 
     /// Reads one quantity of a structure (`root/structure`) over a time span.
@@ -208,9 +193,9 @@ impl Database {
         of: &Series,
         query: &SpanQuery,
     ) -> Result<HistorySpan, HistoryError> {
-        self.ready().await?;
+        let pool = self.pool().await?;
         let read = self
-            .read_span(structure, of, query)
+            .read_span(&pool, structure, of, query)
             .await
             .map_err(|source| self.error(source))?;
         let (resolution_s, kept_from_s, values) = read.unwrap_or((None, None, Vec::new()));
@@ -228,6 +213,7 @@ impl Database {
     /// [`MOST_ROWS`] rows.
     async fn read_span(
         &self,
+        pool: &AnyPool,
         structure: &str,
         of: &Series,
         query: &SpanQuery,
@@ -237,7 +223,7 @@ impl Database {
                 .bind(structure.to_owned())
                 .bind(of.kind.as_str())
                 .bind(of.name.clone())
-                .fetch_optional(&self.pool)
+                .fetch_optional(pool)
                 .await?;
         let Some(id) = found.map(|row| row.try_get::<i64, _>(0)).transpose()? else {
             return Ok(None);
@@ -245,7 +231,7 @@ impl Database {
         let points_from = first(
             sqlx::query("SELECT time_ns FROM point WHERE series = $1 ORDER BY time_ns LIMIT 1")
                 .bind(id),
-            &self.pool,
+            pool,
         )
         .await?;
         // Each entry: interval (ns), first time (ns), resolution (s). The finest comes first.
@@ -253,11 +239,7 @@ impl Database {
         kept.extend(points_from.map(|from_ns| (DISPLAY_NS, from_ns, None)));
         for resolution_s in RESOLUTIONS_S {
             let statement = "SELECT first_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
-            let first_ns = first(
-                sqlx::query(statement).bind(id).bind(resolution_s),
-                &self.pool,
-            )
-            .await?;
+            let first_ns = first(sqlx::query(statement).bind(id).bind(resolution_s), pool).await?;
             kept.extend(
                 first_ns.map(|first_ns| (resolution_s * SECOND_NS, first_ns, Some(resolution_s))),
             );
@@ -266,7 +248,7 @@ impl Database {
             return Ok(None);
         };
         let last_ns = self
-            .newest_ns(id)
+            .newest_ns(pool, id)
             .await?
             .unwrap_or(i64::MAX)
             .min(query.to_ns);
@@ -280,8 +262,8 @@ impl Database {
             .find(fits)
             .unwrap_or(kept.last().unwrap_or(&oldest));
         let values = match resolution_s {
-            None => self.read_points(id, query).await?,
-            Some(resolution_s) => self.read_buckets(id, resolution_s, query).await?,
+            None => self.read_points(pool, id, query).await?,
+            Some(resolution_s) => self.read_buckets(pool, id, resolution_s, query).await?,
         };
         let kept_from_s = (oldest.1 as f64) / 1e9;
         Ok(Some((
@@ -292,18 +274,23 @@ impl Database {
     }
 
     /// Returns the time of the newest value of a series (ns).
-    async fn newest_ns(&self, id: i64) -> Result<Option<i64>, sqlx::Error> {
+    async fn newest_ns(&self, pool: &AnyPool, id: i64) -> Result<Option<i64>, sqlx::Error> {
         let statement = "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s DESC LIMIT 1";
         first(
             sqlx::query(statement)
                 .bind(id)
                 .bind(RESOLUTIONS_S[RESOLUTIONS_S.len() - 1]),
-            &self.pool,
+            pool,
         )
         .await
     }
 
-    async fn read_points(&self, id: i64, query: &SpanQuery) -> Result<Vec<Sums>, sqlx::Error> {
+    async fn read_points(
+        &self,
+        pool: &AnyPool,
+        id: i64,
+        query: &SpanQuery,
+    ) -> Result<Vec<Sums>, sqlx::Error> {
         let statement = "SELECT time_ns, mean, std, probability FROM point \
                          WHERE series = $1 AND time_ns >= $2 AND time_ns <= $3 ORDER BY time_ns LIMIT $4";
         let found = sqlx::query(statement)
@@ -311,7 +298,7 @@ impl Database {
             .bind(query.from_ns)
             .bind(query.to_ns)
             .bind(2 * MOST_ROWS)
-            .fetch_all(&self.pool)
+            .fetch_all(pool)
             .await?;
         let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
             Ok(Sums::of(
@@ -324,6 +311,7 @@ impl Database {
 
     async fn read_buckets(
         &self,
+        pool: &AnyPool,
         id: i64,
         resolution_s: i64,
         query: &SpanQuery,
@@ -338,7 +326,7 @@ impl Database {
             .bind((query.from_ns.div_euclid(SECOND_NS)).saturating_sub(resolution_s))
             .bind(query.to_ns.div_euclid(SECOND_NS))
             .bind(2 * MOST_ROWS)
-            .fetch_all(&self.pool)
+            .fetch_all(pool)
             .await?;
         let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
             Ok(Sums {
@@ -365,7 +353,7 @@ impl Database {
         name: &Name,
         query: &SpanQuery,
     ) -> Result<HistoryLog, HistoryError> {
-        self.ready().await?;
+        let pool = self.pool().await?;
         let statement = "SELECT kind, message FROM happened WHERE structure = $1 AND time_ns >= $2 AND time_ns <= $3 \
                          ORDER BY time_ns DESC LIMIT $4";
         let found = sqlx::query(statement)
@@ -373,7 +361,7 @@ impl Database {
             .bind(query.from_ns)
             .bind(query.to_ns)
             .bind(i64::try_from(query.points).unwrap_or(i64::MAX))
-            .fetch_all(&self.pool)
+            .fetch_all(&pool)
             .await
             .map_err(|source| self.error(source))?;
         let mut log = HistoryLog {
@@ -412,7 +400,8 @@ impl Database {
         newest_ns: i64,
         keep: &Keep,
     ) -> Result<(), HistoryError> {
-        self.ready().await?;
+        let pool = self.pool().await?;
+        let _writes = self.numbers.lock().await;
         let before = |keep_s: Option<u64>| {
             let keep_ns = i64::try_from(keep_s?).ok()?.checked_mul(SECOND_NS)?;
             newest_ns.checked_sub(keep_ns)
@@ -424,7 +413,7 @@ impl Database {
                 .bind(structure.to_owned())
                 .bind(before_ns);
             delete
-                .execute(&self.pool)
+                .execute(&pool)
                 .await
                 .map_err(|source| self.error(source))?;
         }
@@ -444,7 +433,7 @@ impl Database {
                 .bind(resolution_s);
             let delete = delete.bind(before_ns.div_euclid(SECOND_NS));
             delete
-                .execute(&self.pool)
+                .execute(&pool)
                 .await
                 .map_err(|source| self.error(source))?;
         }
@@ -452,7 +441,7 @@ impl Database {
             let delete = sqlx::query("DELETE FROM happened WHERE structure = $1 AND time_ns < $2");
             let delete = delete.bind(structure.to_owned()).bind(before_ns);
             delete
-                .execute(&self.pool)
+                .execute(&pool)
                 .await
                 .map_err(|source| self.error(source))?;
         }
@@ -461,28 +450,10 @@ impl Database {
 
     /// Closes all connections.
     pub(crate) async fn close(&self) {
-        self.pool.close().await;
+        if let Opened::Now { pool, .. } = &*self.opened.lock().await {
+            pool.close().await;
+        }
     }
-}
-
-/// Creates the file and its folder if they do not exist. Errors of the operating system are more
-/// specific than those of SQLite.
-fn make_file(path: &Path) -> Result<(), HistoryError> {
-    if let Some(folder) = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-    {
-        let made = std::fs::create_dir_all(folder);
-        made.map_err(|source| HistoryError::Folder {
-            path: folder.to_owned(),
-            source,
-        })?;
-    }
-    let opened = OpenOptions::new().append(true).create(true).open(path);
-    opened.map(drop).map_err(|source| HistoryError::File {
-        path: path.to_owned(),
-        source,
-    })
 }
 
 fn database_error(address: &Address, source: sqlx::Error) -> HistoryError {

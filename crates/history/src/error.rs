@@ -5,6 +5,10 @@ use spandrel_bus::BusError;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
+/// Error codes of SQLite: the file is damaged, and the file is no database.
+const SQLITE_CORRUPT: u32 = 11;
+const SQLITE_NOTADB: u32 = 26;
+
 /// An error of the history service.
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
@@ -71,31 +75,44 @@ impl HistoryError {
 }
 
 impl HistoryError {
-    /// Returns `true` if a retry can succeed, for example after a full disk or before a server has
-    /// started. A wrong path is permanent.
-    pub(crate) fn is_transient(&self, address: &Address) -> bool {
-        match (self, address) {
-            (Self::Folder { source, .. } | Self::File { source, .. }, _) => !matches!(
-                source.kind(),
-                ErrorKind::IsADirectory
-                    | ErrorKind::NotADirectory
-                    | ErrorKind::NotFound
-                    | ErrorKind::PermissionDenied
-                    | ErrorKind::ReadOnlyFilesystem
-                    | ErrorKind::AlreadyExists
-                    | ErrorKind::InvalidFilename
-            ),
-            (Self::Database { .. }, Address::Postgres(_)) => true,
-            (Self::Database { source, .. }, Address::Sqlite(_)) => {
-                let code = source.as_database_error().and_then(|error| error.code());
-                let code = code
-                    .and_then(|code| code.parse::<u32>().ok())
-                    .map(|code| code & 0xff);
-                // Codes: I/O error, disk full, cannot open. The database file itself could be
-                // opened, so the last one concerns a file beside it.
-                matches!(code, Some(10 | 13 | 14))
+    /// Returns `true` if the cause is a path that can never be a file, so that a retry is useless.
+    ///
+    /// Everything else may pass: a full or read-only disk, a missing right, a server that is away.
+    pub(crate) fn is_of_the_path(&self) -> bool {
+        let (Self::Folder { source, .. } | Self::File { source, .. }) = self else {
+            return false;
+        };
+        matches!(
+            source.kind(),
+            ErrorKind::IsADirectory
+                | ErrorKind::NotADirectory
+                | ErrorKind::AlreadyExists
+                | ErrorKind::InvalidFilename
+        )
+    }
+
+    /// Returns `true` if the file of the database is damaged, or is no database.
+    pub(crate) fn is_of_a_corrupt_file(&self, address: &Address) -> bool {
+        let (Self::Database { source, .. }, Address::Sqlite(_)) = (self, address) else {
+            return false;
+        };
+        let code = source.as_database_error().and_then(|error| error.code());
+        let code = code.and_then(|code| code.parse::<u32>().ok());
+        // The low byte of an extended code contains the primary code.
+        code.is_some_and(|code| [SQLITE_CORRUPT, SQLITE_NOTADB].contains(&(code & 0xff)))
+    }
+
+    /// Returns the chain of sources of the error.
+    pub(crate) fn reason(&self) -> String {
+        let mut reason = String::new();
+        let mut source = std::error::Error::source(self);
+        while let Some(error) = source {
+            if !reason.is_empty() {
+                reason.push_str(": ");
             }
-            _ => false,
+            reason.push_str(&error.to_string());
+            source = error.source();
         }
+        reason
     }
 }

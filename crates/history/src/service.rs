@@ -1,25 +1,27 @@
 //! Connects the history to the bus.
 
 use crate::backlog::Backlog;
-use crate::batch::{Batch, Collector, Kind, Series};
+use crate::batch::{Collector, Kind, Series};
 use crate::database::Database;
 use crate::error::HistoryError;
 use crate::settings::{Address, Keep};
+use crate::trouble::{News, Trouble};
 use spandrel_bus::{
-    BoxedFuture, KeyFamily, Keys, LiveToken, Question, Questions, Service, SpanQuery, Topic,
-    parse_key,
+    BoxedFuture, Event, EventKind, KeyFamily, Keys, LiveToken, Question, Questions, Service,
+    SpanQuery, Topic, parse_key,
 };
 use spandrel_listener::{DisplayTopic as T, Listener, Needs};
-use spandrel_service::{Clock, Monitored, Report, ServiceInstance, StatusPublisher, Stop};
+use spandrel_service::{
+    Clock, EventPublisher, Monitored, Report, ServiceInstance, StatusPublisher, Stop,
+};
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
 /// The stored topics, and the log of the alert service. The log includes changes that were
 /// published during a loss of the link, and changes that an earlier run of this service did not
@@ -30,6 +32,7 @@ const NEEDS: Needs = Needs {
         T::Losses,
         T::Noise,
         T::Outliers,
+        T::Conditions,
         T::Classes,
         T::Nodes,
         T::Alerts,
@@ -84,13 +87,31 @@ pub struct HistoryService {
 struct Waiting {
     backlog: Mutex<Backlog>,
     came: Notify,
-    failures: AtomicU64,
+    trouble: Mutex<Trouble>,
 }
 
 impl Waiting {
     fn backlog(&self) -> MutexGuard<'_, Backlog> {
         // No code that can panic runs under this lock.
         self.backlog.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn trouble(&self) -> MutexGuard<'_, Trouble> {
+        // As above.
+        self.trouble.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes the result of an attempt to use the database.
+    fn note(&self, database: &Database, used: &Result<(), HistoryError>) {
+        let rows_waiting = self.backlog().rows();
+        let mut trouble = self.trouble();
+        for file in database.take_corrupt() {
+            trouble.set_aside(file);
+        }
+        match used {
+            Ok(()) => trouble.succeeded(),
+            Err(error) => trouble.failed(error, rows_waiting),
+        }
     }
 }
 
@@ -101,6 +122,7 @@ struct Source {
     collector: Collector,
     listener: Listener,
     status: StatusPublisher,
+    events: EventPublisher,
     token: LiveToken,
 }
 
@@ -110,11 +132,11 @@ impl spandrel_service::Service for HistoryService {
 
     /// Opens the database, subscribes to messages and announces liveliness tokens.
     ///
-    /// If a server does not reply yet, or a disk is full or fails, the service retries later. A
-    /// path that cannot contain a file is an error.
+    /// If the database cannot be used, the service retries later. A corrupt file is set aside. Only
+    /// a path that can never be a file is an error.
     ///
     /// # Errors
-    /// Fails if the file or its tables are unusable, or the bus rejects a declaration.
+    /// Fails if the path can never be a file, or the bus rejects a declaration.
     fn start(plan: &HistoryPlan) -> BoxedFuture<'_, Result<Self, HistoryError>> {
         Self::start_from(plan)
     }
@@ -139,12 +161,13 @@ impl HistoryService {
             } = plan;
             let database = Database::new(address)?;
             let waiting = Arc::<Waiting>::default();
-            if let Err(error) = database.ready().await {
-                if !error.is_transient(address) {
+            let ready = database.ready().await;
+            waiting.note(&database, &ready);
+            if let Err(error) = ready {
+                if error.is_of_the_path() {
                     return Err(error);
                 }
-                waiting.failures.fetch_add(1, Ordering::Relaxed);
-                warn!(%error, reason = reason(&error), "history is waiting for its database");
+                warn!("history is waiting for its database");
             }
             let mut service = Self {
                 sources: Vec::new(),
@@ -181,6 +204,7 @@ impl HistoryService {
             collector: Collector::new(structure, keys.root().as_str()),
             listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS).await?,
             status: instance.publish_status(Service::History, keys).await?,
+            events: EventPublisher::declare(bus, keys).await?,
             // The token comes last, because dashboards send queries as soon as they see it.
             token: instance.announce(Service::History, keys).await?,
             keys: keys.clone(),
@@ -248,6 +272,7 @@ impl HistoryService {
                 _ = pass_on.tick() => {
                     self.pass_on(number);
                     self.put_status().await?;
+                    self.put_news().await?;
                 }
                 _ = prune.tick() => if pruning.is_empty() {
                     pruning.spawn(forget_old(self.database.clone(), self.newest(), self.keep.clone()));
@@ -271,7 +296,9 @@ impl HistoryService {
     }
 
     fn take(&mut self) {
+        let now_ns = self.clock.now_ns();
         for source in &mut self.sources {
+            source.collector.set_now(now_ns);
             let inputs = source.listener.gather().into_iter();
             inputs.for_each(|input| source.collector.handle(input));
         }
@@ -299,11 +326,10 @@ impl HistoryService {
             ("dropped-values", points),
             ("dropped-rows", rows),
             ("rows-set-aside", self.database.set_aside()),
-            (
-                "failed-writes",
-                self.waiting.failures.load(Ordering::Relaxed),
-            ),
+            ("repeated-conditions", self.database.repeated()),
         ];
+        let [failures, files] = self.waiting.trouble().drops();
+        let common: Vec<(&str, u64)> = common.into_iter().chain([failures, files]).collect();
         for source in &self.sources {
             let mut drops = source.refused();
             drops.extend(
@@ -322,6 +348,51 @@ impl HistoryService {
         }
         Ok(())
     }
+
+    /// Publishes and logs the changes of the state of the database.
+    async fn put_news(&self) -> Result<(), HistoryError> {
+        let news = self.waiting.trouble().take_news();
+        for source in &self.sources {
+            for news in &news {
+                let event = to_event(news, &source.keys, self.clock.now_ns());
+                source.events.put(&event).await?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn to_event(news: &News, keys: &Keys, time_ns: i64) -> Event {
+    let (kind, what, why) = match news {
+        News::Unavailable(why) => (
+            EventKind::HistoryUnavailable,
+            "the history cannot use its database; values wait in memory".to_owned(),
+            why.clone(),
+        ),
+        News::Back => (
+            EventKind::HistoryBack,
+            "the history uses its database again".to_owned(),
+            "an attempt succeeded".to_owned(),
+        ),
+        News::SetAside(file) => (
+            EventKind::HistoryUnavailable,
+            format!(
+                "{} is corrupt; it is now {}, and a new file replaces it",
+                file.path.display(),
+                file.aside.display()
+            ),
+            file.why.clone(),
+        ),
+    };
+    Event {
+        structure: keys.structure().clone(),
+        time_ns,
+        kind,
+        subject: "history".to_owned(),
+        what,
+        why,
+    }
+    .legible() // a path may be longer than a message
 }
 
 impl Source {
@@ -331,6 +402,8 @@ impl Source {
         if self.collector.unknown > 0 {
             sum.insert("unknown-quantity".to_owned(), self.collector.unknown);
         }
+        let rejected = self.collector.rejected.iter();
+        sum.extend(rejected.map(|(reason, count)| (format!("{reason}-conditions"), *count)));
         sum
     }
 }
@@ -342,38 +415,31 @@ async fn write(
     life: String,
     mut stopping: watch::Receiver<bool>,
 ) {
-    let (mut retry_after, mut consecutive) = (RETRY_AFTER.0, 0_u64);
+    let mut retry_after = RETRY_AFTER.0;
     loop {
-        let batches: Vec<Arc<Batch>> = waiting.backlog().oldest(ROWS_AT_ONCE);
-        let Some(last) = batches.last().map(|batch| batch.number) else {
-            if *stopping.borrow() {
-                return;
-            }
-            tokio::select! {
+        let batches = waiting.backlog().oldest(ROWS_AT_ONCE);
+        if batches.is_empty() && *stopping.borrow() {
+            return;
+        }
+        // Without data, the database is opened all the same, so that its state is known.
+        let used = match batches.is_empty() {
+            true => database.ready().await,
+            false => database.write(&life, &batches).await,
+        };
+        waiting.note(&database, &used);
+        if used.is_err() {
+            tokio::time::sleep(retry_after).await;
+            retry_after = (2 * retry_after).min(RETRY_AFTER.1);
+            continue;
+        }
+        retry_after = RETRY_AFTER.0;
+        match batches.last() {
+            Some(last) => waiting.backlog().written(last.number),
+            None => tokio::select! {
                 () = waiting.came.notified() => {}
                 // A dropped sender also means that the service stops.
                 _ = stopping.changed() => {}
-            }
-            continue;
-        };
-        match database.write(&life, &batches).await {
-            Ok(()) => {
-                waiting.backlog().written(last);
-                if consecutive > 0 {
-                    info!(failures = consecutive, "history writes succeed again");
-                }
-                (retry_after, consecutive) = (RETRY_AFTER.0, 0);
-            }
-            Err(error) => {
-                waiting.failures.fetch_add(1, Ordering::Relaxed);
-                consecutive += 1;
-                if consecutive.is_power_of_two() {
-                    let rows = waiting.backlog().rows();
-                    warn!(%error, reason = reason(&error), rows_waiting = rows, "history write failed; retrying");
-                }
-                tokio::time::sleep(retry_after).await;
-                retry_after = (2 * retry_after).min(RETRY_AFTER.1);
-            }
+            },
         }
     }
 }
@@ -396,7 +462,7 @@ async fn share_panic_of<T>(tasks: &mut JoinSet<()>) -> T {
 async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) {
     for (structure, newest_ns) in newest {
         if let Err(error) = database.prune(&structure, newest_ns, &keep).await {
-            warn!(structure, %error, reason = reason(&error), "cannot remove old values from the history");
+            warn!(structure, %error, reason = error.reason(), "cannot remove old values from the history");
         }
     }
 }
@@ -422,7 +488,7 @@ async fn answer_spans(
         )) = parse_key(keys.root(), question.key_expression())
         else {
             question
-                .refuse("must be for one name, without wildcards")
+                .reject("must be for one name, without wildcards")
                 .await;
             continue;
         };
@@ -431,7 +497,7 @@ async fn answer_spans(
         };
         let Some(series) = Series::asked(&query.kind, &name) else {
             question
-                .refuse("kind must be parameter, noise, outlier, class or node")
+                .reject("kind must be parameter, loss, noise, outlier, class, node or condition")
                 .await;
             continue;
         };
@@ -440,7 +506,7 @@ async fn answer_spans(
             .await
         {
             Ok(span) if span.kept_from_s.is_none() && !may_come(&named, &series) => {
-                question.refuse(&unknown(&named, &series)).await;
+                question.reject(&unknown(&named, &series)).await;
             }
             Ok(span) => answer(&question, &keys.history(&name), &span).await,
             Err(error) => refuse(&question, &error).await,
@@ -452,9 +518,12 @@ async fn answer_spans(
 fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
     match series.kind {
         Kind::Class => true,
-        Kind::Parameter | Kind::Loss | Kind::Noise | Kind::Outlier | Kind::Node => {
-            named.contains(series)
-        }
+        Kind::Parameter
+        | Kind::Loss
+        | Kind::Noise
+        | Kind::Outlier
+        | Kind::Node
+        | Kind::Condition => named.contains(series),
     }
 }
 
@@ -494,7 +563,7 @@ async fn parse(question: &Question) -> Option<SpanQuery> {
     match question.parameters().parse() {
         Ok(query) => Some(query),
         Err(error) => {
-            question.refuse(&error.to_string()).await;
+            question.reject(&error.to_string()).await;
             None
         }
     }
@@ -506,23 +575,10 @@ async fn answer<M: spandrel_bus::Message>(question: &Question, key: &str, messag
     }
 }
 
+/// Replies that the database cannot be used. The writing task reports the reason to users.
 async fn refuse(question: &Question, error: &HistoryError) {
-    warn!(%error, reason = reason(error), "history query failed");
+    debug!(%error, reason = error.reason(), "history query failed");
     question.refuse(&error.to_string()).await;
-}
-
-/// Returns the chain of sources of an error.
-fn reason(error: &HistoryError) -> String {
-    let mut reason = String::new();
-    let mut source = std::error::Error::source(error);
-    while let Some(error) = source {
-        if !reason.is_empty() {
-            reason.push_str(": ");
-        }
-        reason.push_str(&error.to_string());
-        source = error.source();
-    }
-    reason
 }
 
 #[cfg(test)]
@@ -531,7 +587,7 @@ mod tests {
 
     /// Regression: the writing task had panicked, and the service continued without a message.
     #[tokio::test]
-    async fn a_service_whose_task_panics_does_not_go_on_without_it() {
+    async fn panic_of_a_task_ends_the_service() {
         let mut tasks = JoinSet::new();
         tasks.spawn(async {});
         tasks.spawn(async { assert_eq!(1, 2, "as it should") });
@@ -540,7 +596,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_the_structure_file_does_not_have_is_refused_with_those_that_it_has() {
+    fn error_lists_the_names_of_the_structure_file() {
         let series = |kind, name: &str| Series {
             kind,
             name: name.to_owned(),

@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_and_servers_are_told_apart() {
+    fn addresses_of_files_and_servers_are_distinguished() {
         for (text, path) in [
             ("history.sqlite", "history.sqlite"),
             ("sqlite:history.sqlite", "history.sqlite"),
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_elsewhere_that_need_not_show_who_it_is_is_known() {
+    fn remote_server_without_certificate_verification_is_detected() {
         for (text, expected) in [
             ("postgres://spandrel@db.site/history", true),
             (
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn a_relative_file_lies_beside_the_configuration() {
+    fn relative_path_is_resolved_beside_the_configuration() {
         let file = Address::parse("history.sqlite")
             .unwrap()
             .below("/etc/spandrel".as_ref());

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_never_more_rows_than_asked_for() {
+    fn number_of_rows_is_at_most_the_requested_number() {
         let values: Vec<Sums> = (0..1_000).map(|k| Sums::of(k, [1.0, 0.1, 0.0])).collect();
         for most in [1, 2, 3, 7, 333, 999, 1_000, 5_000] {
             let rows = rows(&values, most);

@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn each_state_is_told_however_fast_it_comes() {
+    fn every_load_state_is_reported_even_at_fast_changes() {
         let all = [
             Load::DisplayShed,
             Load::Behind,
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn a_source_that_waits_is_no_overload() {
+    fn backlog_of_a_waiting_source_is_no_overload() {
         for pace in [None, Some(Pace::Replayed)] {
             assert_eq!(told(pace, &[0, 4_096, 4_224, 5_120, 4_000]), []);
             assert_eq!(
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_shed_comes_back_only_where_it_has_caught_up() {
+    fn display_returns_only_after_catching_up() {
         assert_eq!(
             told(Some(Pace::Live), &[1_024, 1_025, 300, 1_025, 257]),
             [Load::DisplayShed]
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_overtaken_again_is_behind_again() {
+    fn growing_backlog_while_catching_up_means_behind_again() {
         let states = told(Some(Pace::Live), &[9_000, 10_000, 7_500, 9_999, 10_000]);
         assert_eq!(
             states,

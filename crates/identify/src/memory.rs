@@ -8,6 +8,12 @@ use spandrel_structure::Structure;
 use tokio::task::block_in_place;
 use tracing::{info, warn};
 
+/// Position of the state before the first frame, ahead of all others.
+const FIRST: Place = Place {
+    epoch: 0,
+    sequence: 0,
+};
+
 /// Returns the checkpoint identity of a structure's identification.
 pub(crate) fn identity(structure: &Structure) -> Identity {
     Identity {
@@ -84,11 +90,26 @@ impl Memory {
     }
 
     /// Restores the oldest checkpoint that may still be needed. Returns `new` if there is none.
+    ///
+    /// The new state then becomes the first checkpoint. It is needed until alert has saved a
+    /// decision, because a later checkpoint would skip the estimates before it.
     pub(crate) fn recall(
         &self,
         new: impl FnMut() -> Result<Identification, IdentifyError>,
     ) -> Result<Identification, IdentifyError> {
-        self.restore(new, Checkpoints::load_oldest)
+        let core = self.restore(new, Checkpoints::load_oldest)?;
+        if self.is_decided_on && core.position().is_none() {
+            self.keep_first(&core);
+        }
+        Ok(core)
+    }
+
+    fn keep_first(&self, core: &Identification) {
+        let checkpoints = self.keeper.checkpoints();
+        if let Err(error) = block_in_place(|| checkpoints.save(FIRST, &core.state())) {
+            warn!(%error, "first state not saved; after a crash, alert may miss the first \
+                estimates");
+        }
     }
 
     fn restore(
@@ -149,6 +170,11 @@ impl Memory {
         }
     }
 
+    /// Reports a folder that is gone.
+    pub(crate) async fn look(&mut self) {
+        self.keeper.look().await;
+    }
+
     /// Saves the last state and waits until it is on disk.
     pub(crate) async fn close(mut self, core: &Identification) {
         self.keep(core).await;
@@ -169,10 +195,7 @@ impl Memory {
         // An alert service without known progress may need every estimate. Without rules there is
         // none.
         let needed = if self.is_decided_on {
-            heard.or(Some(Place {
-                epoch: 0,
-                sequence: 0,
-            }))
+            heard.or(Some(FIRST))
         } else {
             None
         };

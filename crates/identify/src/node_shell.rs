@@ -210,7 +210,12 @@ impl NodeService {
                         warn!(structure, node, "no reply from the station; continuing without it");
                         self.take(NodeInput::NoAnswer).await?;
                     }
-                    _ = status.tick() => self.put_status().await?,
+                    _ = status.tick() => {
+                        if let Some(keeper) = &mut self.keeper {
+                            keeper.look().await;
+                        }
+                        self.put_status().await?;
+                    }
                     () = &mut stop => break,
                 }
             }

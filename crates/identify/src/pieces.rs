@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_block_comes_in_short_pieces_that_are_the_block_again() {
+    fn pieces_of_a_long_block_are_short_and_complete() {
         let whole = block(1000, 4096);
         let pieces = pieces(whole.clone());
         assert!(pieces.iter().all(|piece| piece.count() <= MOST_ITEMS));
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_short_stays_whole_also_an_end_without_frames() {
+    fn short_blocks_and_empty_ends_stay_whole() {
         for count in [0, 1, MOST_ITEMS] {
             assert_eq!(pieces(block(5, count)), [block(5, count)]);
         }

@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_job_that_panics_takes_nothing_with_it() {
+    async fn pool_survives_the_panic_of_a_job() {
         let pool = FilterPool::start(NonZeroUsize::MIN).unwrap();
         assert_eq!(pool.run(|| 1).await, Some(1));
         assert_eq!(

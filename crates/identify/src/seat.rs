@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_leader_has_done_is_not_put_by_the_next_one() {
+    fn new_leader_does_not_publish_blocks_of_the_former_leader() {
         let mut held = held([(1, 40), (1, 80), (1, 80), (1, 120)]);
         held.done(&progress(1, 79));
         held.done(&progress(1, 80));
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn an_epoch_that_is_over_is_done() {
+    fn all_blocks_of_an_earlier_epoch_are_done() {
         let mut of_two = held([(1, 900), (2, 40)]);
         of_two.done(&progress(2, 0));
         assert_eq!(numbers(of_two), [40]);
@@ -183,13 +183,13 @@ mod tests {
     }
 
     #[test]
-    fn no_more_than_a_minute_waits() {
+    fn at_most_one_minute_of_blocks_is_held() {
         let first = numbers(held((0..MOST_HELD as u64 + 5).map(|end| (1, end))))[0];
         assert_eq!(first, 5);
     }
 
     #[test]
-    fn a_term_is_above_all_that_are_known_whatever_the_clock_says() {
+    fn next_term_exceeds_all_known_terms_for_any_clock() {
         assert_eq!(next_term(100, 0, 0), 100);
         assert_eq!(next_term(100, 500, 0), 501);
         assert_eq!(next_term(100, 500, 700), 701);

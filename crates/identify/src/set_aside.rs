@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_that_are_set_aside_are_left_out_wherever_the_blocks_are_cut() {
+    fn samples_set_aside_are_omitted_for_any_block_size() {
         let set_aside = SetAside::default();
         set_aside.add((7, 10, 14));
         set_aside.add((7, 20, 22));

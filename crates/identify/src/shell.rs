@@ -242,6 +242,9 @@ impl IdentifyService {
                     _ = self.ingest.changed() => self.reconsider().await?,
                     _ = status.tick() => {
                         self.reconsider().await?;
+                        if let Some(memory) = &mut self.memory {
+                            memory.look().await;
+                        }
                         if let Some(decided) = self.alert.latest() {
                             self.seat.release(&decided);
                         }

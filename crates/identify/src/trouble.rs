@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_kills_twice_is_found_and_set_aside() {
+    fn frame_that_causes_two_panics_is_found_and_set_aside() {
         let mut trouble = Trouble::default();
         assert_eq!(parts(&trouble, block(0, 9)), [(0, 9)]);
         assert_eq!(trouble.died(Instant::now(), 7, 3, 6), None);
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn deaths_that_are_long_ago_do_not_count_against_it() {
+    fn panics_longer_ago_than_the_limit_do_not_count() {
         let (mut trouble, mut now) = (Trouble::default(), Instant::now());
         for frame in 0..3 * MOST_DEATHS as u64 {
             now += DEATHS_WITHIN / (MOST_DEATHS as u32 - 1);
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_of_one_frame_is_known_at_once_and_the_end_is_not_lost() {
+    fn block_of_one_frame_is_set_aside_at_once_and_its_end_is_kept() {
         let mut trouble = Trouble::default();
         assert_eq!(trouble.died(Instant::now(), 7, 8, 9), Some(8));
         let last = FrameBlock {

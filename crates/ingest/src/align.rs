@@ -31,9 +31,18 @@ const LONGEST_HOLE: i64 = 100_000;
 /// time.
 const LONGEST_LAG_NS: i64 = 2_000_000_000;
 
+/// Longest gap, ns, that is filled with empty frames although the node that frames wait for may
+/// still deliver. After a longer gap, frames wait as long again for it. If at most half of the nodes
+/// continue after the gap, a new run starts.
+const LONGEST_LONE_HOLE_NS: i64 = 10_000_000_000;
+
 /// Span of samples from the past, ns, after which a node begins a new run if the other nodes deliver
 /// nothing.
 const GONE_BACK_NS: i64 = 500_000_000;
+
+/// Number of deadlines for which the other nodes must deliver nothing. The shell sets one every
+/// 50 ms. A source that catches up delivers minutes of samples between two of them.
+const DEADLINES_OF_SILENCE: u64 = 20;
 
 /// An input of the alignment; `node` is an index into the layout.
 #[derive(Clone, Debug)]
@@ -53,6 +62,17 @@ pub enum AlignmentInput {
     },
     /// A lost node is expected again, because only its link was down.
     Back {
+        /// Index of the node.
+        node: usize,
+    },
+    /// The clock of a node differs from that of the majority. Its samples are dropped, and frames do
+    /// not wait for it.
+    ClockWrong {
+        /// Index of the node.
+        node: usize,
+    },
+    /// The clock of such a node agrees with the majority again.
+    ClockRight {
         /// Index of the node.
         node: usize,
     },
@@ -95,6 +115,8 @@ pub struct Alignment {
     epoch: u64,
     run: Option<Run>,
     deadline_ns: i64,
+    /// Number of deadlines so far.
+    deadlines: u64,
     ended: bool,
     /// Number of blocks that did not belong to closed frames.
     in_time: u64,
@@ -117,7 +139,7 @@ impl Alignment {
         let queues = layout
             .nodes()
             .iter()
-            .map(|node| NodeQueue::new(node.ranges.clone()))
+            .map(|node| NodeQueue::new(node.ranges.clone(), layout.tolerance_ns()))
             .collect();
         Self {
             layout,
@@ -126,6 +148,7 @@ impl Alignment {
             epoch,
             run: None,
             deadline_ns: i64::MIN,
+            deadlines: 0,
             ended: false,
             in_time: 0,
             counts: Counts::default(),
@@ -224,8 +247,26 @@ impl Alignment {
                     queue.presence = Presence::Expected;
                 }
             }
+            AlignmentInput::ClockWrong { node } => {
+                if let Some(queue) = self.queues.get_mut(node) {
+                    queue.distrust();
+                    // It may have been the time of this node.
+                    self.deadline_ns = i64::MIN;
+                    self.leave_the_time_of_a_wrong_clock(blocks);
+                }
+            }
+            AlignmentInput::ClockRight { node } => {
+                if let Some(queue) = self
+                    .queues
+                    .get_mut(node)
+                    .filter(|queue| queue.presence == Presence::Distrusted)
+                {
+                    queue.presence = Presence::Expected;
+                }
+            }
             AlignmentInput::Deadline { time_ns } => {
-                self.deadline_ns = self.deadline_ns.max(time_ns)
+                self.deadlines += 1;
+                self.deadline_ns = self.deadline_ns.max(time_ns);
             }
         }
         self.close_frames(blocks);
@@ -244,6 +285,10 @@ impl Alignment {
         }
         if usize::from(block.channels) != self.queues[node].channels() {
             self.counts.wrong_channels += 1;
+            return;
+        }
+        if self.queues[node].presence == Presence::Distrusted {
+            self.queues[node].drop_block(&block);
             return;
         }
         let is_known = block.count() > 0 && self.queues[node].known(&block) == block.count();
@@ -278,13 +323,15 @@ impl Alignment {
         let queue = &mut self.queues[node];
         if !queue.is_parked() {
             queue.in_time_when_parked = self.in_time;
+            queue.deadlines_when_parked = self.deadlines;
         }
         // A live node that has fallen silent must not hold back the others.
         let is_live = block.pace == Pace::Live;
         queue.park(block);
         let others_are_silent = is_live
             && queue.in_time_when_parked == self.in_time
-            && queue.parked_ns() >= GONE_BACK_NS;
+            && queue.parked_ns() >= GONE_BACK_NS
+            && self.deadlines - queue.deadlines_when_parked >= DEADLINES_OF_SILENCE;
         let expected = |queue: &&NodeQueue| queue.presence == Presence::Expected;
         let mut expected = self.queues.iter().filter(expected);
         if others_are_silent || expected.all(NodeQueue::is_parked) {
@@ -350,6 +397,29 @@ impl Alignment {
         }
     }
 
+    /// Ends the present run if it is on the time of nodes that are no longer trusted.
+    ///
+    /// If their clocks are ahead, the blocks of the other nodes are parked. If they are behind, the
+    /// other nodes have not come near the next frame in this run.
+    fn leave_the_time_of_a_wrong_clock(&mut self, blocks: &mut Vec<FrameBlock>) {
+        let Some(run) = &self.run else {
+            return;
+        };
+        let next_ns = run.grid.time_ns(run.next);
+        let trusted = || {
+            let queues = self.queues.iter();
+            queues.filter(|queue| queue.presence != Presence::Distrusted)
+        };
+        let is_ahead = trusted().all(|queue| queue.first_ns().is_none())
+            && trusted().any(NodeQueue::is_parked);
+        let is_near =
+            |newest_ns: i64| newest_ns.abs_diff(next_ns) <= LONGEST_LONE_HOLE_NS.unsigned_abs();
+        let is_behind = !trusted().filter_map(|queue| queue.newest_ns).any(is_near);
+        if is_ahead || is_behind {
+            self.go_back(blocks);
+        }
+    }
+
     /// Returns the time of the earliest waiting sample, or `None` while the first frame is
     /// undetermined. t0 must not depend on the order of arrival.
     fn first_sample_ns(&self) -> Option<i64> {
@@ -391,7 +461,7 @@ impl Alignment {
         };
         let next = run.next as i64;
         let mut earliest: Option<i64> = None;
-        let mut waits = false;
+        let (mut waits, mut expected, mut delivering) = (false, 0_usize, 0_usize);
         for queue in &mut self.queues {
             let number = first_usable(queue, run, self.layout.tolerance_ns());
             let passed = match number {
@@ -402,6 +472,8 @@ impl Alignment {
                 None => has_passed(queue, run),
             };
             waits |= !passed && queue.presence == Presence::Expected;
+            expected += usize::from(queue.presence == Presence::Expected);
+            delivering += usize::from(number.is_some());
             earliest = earliest.into_iter().chain(number).min();
         }
         let Some(earliest) = earliest else {
@@ -411,7 +483,15 @@ impl Alignment {
         if waits && run.grid.time_ns(run.next) > self.deadline_ns {
             return NextFrame::Wait;
         }
-        if earliest - next > LONGEST_HOLE {
+        // Before a long gap is skipped, the vote must have time to find out whose clock has jumped.
+        let earliest_ns = run.grid.time_ns(earliest.max(next).unsigned_abs());
+        let hole_ns = earliest_ns.saturating_sub(run.grid.time_ns(run.next));
+        let is_doubtful = waits && hole_ns > LONGEST_LONE_HOLE_NS;
+        if is_doubtful && earliest_ns.saturating_add(LONGEST_LONE_HOLE_NS) > self.deadline_ns {
+            return NextFrame::Wait;
+        }
+        let is_lone = is_doubtful && 2 * delivering <= expected;
+        if is_lone || earliest - next > LONGEST_HOLE {
             NextFrame::NewRun
         } else {
             NextFrame::Close
@@ -540,5 +620,7 @@ fn first_usable(queue: &mut NodeQueue, run: &Run, tolerance_ns: i64) -> Option<i
     None
 }
 
+#[cfg(test)]
+mod clock_tests;
 #[cfg(test)]
 mod tests;

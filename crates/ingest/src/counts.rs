@@ -32,6 +32,8 @@ pub struct NodeCounts {
     pub off_grid: u64,
     /// Samples removed because the clock of their node went back.
     pub retracted: u64,
+    /// Samples dropped because the clock of their node differs from that of the majority.
+    pub wrong_clock: u64,
     /// Samples dropped because the queue of their node was full.
     pub overflowed: u64,
     /// Infinite values, which are treated as missing.
@@ -47,6 +49,7 @@ impl AddAssign for NodeCounts {
         self.late += other.late;
         self.off_grid += other.off_grid;
         self.retracted += other.retracted;
+        self.wrong_clock += other.wrong_clock;
         self.overflowed += other.overflowed;
         self.not_finite += other.not_finite;
         self.out_of_range += other.out_of_range;
@@ -63,6 +66,7 @@ impl Counts {
             ("late-samples", self.nodes.late),
             ("off-grid-samples", self.nodes.off_grid),
             ("retracted-samples", self.nodes.retracted),
+            ("wrong-clock-samples", self.nodes.wrong_clock),
             ("overflowed-samples", self.nodes.overflowed),
             ("wrong-channels", self.wrong_channels),
             ("unknown-node", self.unknown_node),

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_write_that_panics_takes_no_other_with_it() {
+    async fn panic_of_a_write_does_not_affect_other_writes() {
         let (thread, other) = (DiskThread::start().unwrap(), DiskThread::start().unwrap());
         let name = || thread::current().name().map(str::to_owned);
         assert_eq!(thread.run(name).await, Some(Some("recording".to_owned())));

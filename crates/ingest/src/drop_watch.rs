@@ -111,6 +111,7 @@ struct Drops {
     duplicate: u64,
     off_grid: u64,
     retracted: u64,
+    wrong_clock: u64,
     overflowed: u64,
 }
 
@@ -122,16 +123,18 @@ impl Drops {
             duplicate: last.duplicate.saturating_sub(first.duplicate),
             off_grid: last.off_grid.saturating_sub(first.off_grid),
             retracted: last.retracted.saturating_sub(first.retracted),
+            wrong_clock: last.wrong_clock.saturating_sub(first.wrong_clock),
             overflowed: last.overflowed.saturating_sub(first.overflowed),
         }
     }
 
-    fn reasons(&self) -> [(&'static str, u64); 5] {
+    fn reasons(&self) -> [(&'static str, u64); 6] {
         [
             ("late", self.late),
             ("duplicate", self.duplicate),
             ("off the grid", self.off_grid),
             ("retracted", self.retracted),
+            ("of a wrong clock", self.wrong_clock),
             ("overflowed", self.overflowed),
         ]
     }
@@ -171,6 +174,11 @@ impl Drops {
                 "they lie between two frames; synchronise the clock of the node with the other \
                  nodes, or allow a larger ingest.tolerance-s ({tolerance_s} s)"
             ),
+            "of a wrong clock" => {
+                "the clock of the node differs from that of the other nodes; check its time \
+                 synchronisation"
+                    .to_owned()
+            }
             "retracted" => {
                 "the clock of the node went back; check its time synchronisation".to_owned()
             }
@@ -218,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn recovery_is_reported_once_no_sample_of_the_span_is_dropped() {
+    fn recovery_is_reported_after_a_span_without_drops() {
         let told = reports((0..30).map(|second| counts(100 * second, 67 * second.min(10))));
         let is_over: Vec<_> = told.iter().map(|(_, report)| report.is_over).collect();
         assert_eq!(is_over, [false, true], "{told:?}");

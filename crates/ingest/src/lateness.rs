@@ -38,6 +38,13 @@ impl Lateness {
         self.nodes.fill_with(Arrivals::default);
     }
 
+    /// Forgets the arrivals of a node whose clock is wrong.
+    pub fn forget(&mut self, node: usize) {
+        if let Some(arrivals) = self.nodes.get_mut(node) {
+            *arrivals = Arrivals::default();
+        }
+    }
+
     /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a reading
     /// of any monotonic clock.
     pub fn arrived(&mut self, node: usize, time_ns: i64, now: Duration) {
@@ -52,6 +59,7 @@ impl Lateness {
     ///
     /// The result is the lower median of the newest sample times of the nodes, as of `now` minus
     /// the allowed lateness. It includes only nodes that still deliver, or all nodes if none does.
+    /// A node that has begun since then counts as the earliest.
     /// The median prevents one node with a clock far ahead from making the other nodes late.
     pub fn deadline_ns(&mut self, now: Duration) -> Option<i64> {
         let begin = now.checked_sub(self.allowed)?;
@@ -66,8 +74,9 @@ impl Lateness {
             self.nodes
                 .iter()
                 .filter(delivers)
-                .filter_map(|a| a.overdue_ns),
-        );
+                .map(|a| a.overdue_ns.unwrap_or(i64::MIN)),
+        )
+        .filter(|time_ns| *time_ns > i64::MIN);
         let some_deliver = self.nodes.iter().any(|arrivals| delivers(&arrivals));
         if some_deliver {
             delivering
@@ -92,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_node_is_waited_for_no_longer_than_allowed() {
+    fn silent_node_is_awaited_for_at_most_the_lateness() {
         let mut lateness = Lateness::new(ms(100), 2);
         lateness.arrived(1, 0, ms(0));
         for step in 0..30 {
@@ -113,6 +122,17 @@ mod tests {
     }
 
     #[test]
+    fn first_node_does_not_make_those_late_that_have_just_begun() {
+        let mut lateness = Lateness::new(ms(100), 3);
+        for step in 0..30 {
+            lateness.arrived(0, 1_000_000 + step * 10, ms(10 * step as u64));
+        }
+        lateness.arrived(1, 300, ms(295));
+        lateness.arrived(2, 300, ms(295));
+        assert_eq!(lateness.deadline_ns(ms(300)), None);
+    }
+
+    #[test]
     fn times_of_a_former_run_set_no_deadline() {
         let mut lateness = Lateness::new(ms(100), 1);
         lateness.arrived(0, 1_000_000, ms(0));
@@ -122,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn when_all_are_silent_what_arrived_is_not_kept_back_for_ever() {
+    fn frames_are_closed_after_the_lateness_if_all_nodes_are_silent() {
         let mut lateness = Lateness::new(ms(100), 2);
         lateness.arrived(0, 70, ms(10));
         assert_eq!(lateness.deadline_ns(ms(1000)), Some(70));

@@ -29,9 +29,11 @@
 //! - [`Layout`]: nodes, channels and sampling rate
 //! - [`Alignment`]: builds frames from samples, without a clock or network
 //! - [`Lateness`]: decides when a frame has waited long enough; its clock is an argument
-//! - [`IngestService`]: connects both to the bus
+//! - [`ClockVote`]: decides by majority which clocks are wrong; its clock is an argument
+//! - [`IngestService`]: connects them to the bus
 //!
-//! Ingest neither filters nor interpolates. A frame contains a sample as measured, or not at all.
+//! Ingest does not filter. A frame contains a sample, interpolated at the time of the frame if the
+//! node samples at another instant, or nothing.
 
 mod counts;
 mod layout;
@@ -39,8 +41,12 @@ mod node_queue;
 mod sampling_instants;
 
 mod align;
+mod clock_vote;
+mod clock_watch;
 mod drop_watch;
 mod lateness;
+mod lockout_watch;
+mod timekeeping;
 
 mod disk;
 mod error;
@@ -49,6 +55,7 @@ mod shell;
 mod unrecorded;
 
 pub use align::{Alignment, AlignmentInput, NodePlace};
+pub use clock_vote::{ClockVerdict, ClockVote, Tally};
 pub use counts::{Counts, NodeCounts};
 pub use error::IngestError;
 pub use lateness::Lateness;

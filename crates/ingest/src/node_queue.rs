@@ -28,6 +28,8 @@ pub(crate) enum Presence {
     Ended,
     /// The node has disappeared without ending its stream.
     Lost,
+    /// The clock of the node differs from that of the majority.
+    Distrusted,
 }
 
 /// The waiting samples of a node in time order.
@@ -50,6 +52,8 @@ pub(crate) struct NodeQueue {
     parked: VecDeque<SampleBlock>,
     /// Number of blocks in time of all nodes when the first parked block arrived.
     pub(crate) in_time_when_parked: u64,
+    /// Number of deadlines when the first parked block arrived.
+    pub(crate) deadlines_when_parked: u64,
     /// What has become of the samples of this node.
     pub(crate) counts: NodeCounts,
     /// Epoch and sequence number of the first sample that the recording does not contain. Samples
@@ -59,9 +63,9 @@ pub(crate) struct NodeQueue {
 }
 
 impl NodeQueue {
-    pub(crate) fn new(ranges: Vec<f64>) -> Self {
+    pub(crate) fn new(ranges: Vec<f64>, tolerance_ns: i64) -> Self {
         Self {
-            instants: SamplingInstants::new(ranges.len()),
+            instants: SamplingInstants::new(ranges.len(), tolerance_ns),
             resumed_at: (0, 0),
             ranges,
             times_ns: VecDeque::new(),
@@ -73,6 +77,7 @@ impl NodeQueue {
             epoch: None,
             parked: VecDeque::new(),
             in_time_when_parked: 0,
+            deadlines_when_parked: 0,
             counts: NodeCounts::default(),
         }
     }
@@ -154,6 +159,27 @@ impl NodeQueue {
     pub(crate) fn drop_parked(&mut self) {
         let parked = std::mem::take(&mut self.parked);
         self.counts.late += parked.iter().map(Block::count).sum::<u64>();
+    }
+
+    /// Drops all samples, because the clock of the node is wrong.
+    pub(crate) fn distrust(&mut self) {
+        let parked = std::mem::take(&mut self.parked);
+        self.counts.wrong_clock += parked.iter().map(Block::count).sum::<u64>();
+        self.counts.wrong_clock += self.times_ns.len() as u64;
+        self.times_ns.clear();
+        self.numbers.clear();
+        self.values.clear();
+        self.give_back();
+        self.newest_ns = None;
+        self.presence = Presence::Distrusted;
+    }
+
+    /// Drops a block of a node whose clock is wrong.
+    pub(crate) fn drop_block(&mut self, block: &SampleBlock) {
+        self.counts.received += block.count();
+        self.counts.wrong_clock += block.count();
+        self.epoch = Some(block.header.epoch);
+        self.next = (block.header.epoch, block.end());
     }
 
     /// Returns the number of first samples of a block that the recording contains already.
@@ -335,8 +361,8 @@ mod tests {
     }
 
     #[test]
-    fn what_a_node_that_was_ahead_has_taken_is_given_back() {
-        let mut queue = NodeQueue::new(vec![1.0; 2]);
+    fn memory_of_a_node_that_was_ahead_is_released() {
+        let mut queue = NodeQueue::new(vec![1.0; 2], 1_000);
         queue.push(&block(0, 0, 100_000));
         let most = room(&queue);
         let mut frame = [0.0; 2];

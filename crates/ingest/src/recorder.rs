@@ -1,17 +1,18 @@
 //! Writes every frame to disk before it is published.
 
 use std::path::PathBuf;
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
 use spandrel_checkpoint::moment_within;
 use spandrel_record::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition,
-    RecordError,
+    OpenedLog, RecordError,
 };
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
-use tracing::{info, warn};
+use tracing::{debug, info, warn};
 
 use crate::align::NodePlace;
 use crate::disk::DiskThread;
@@ -21,6 +22,9 @@ use crate::unrecorded::UnrecordedFrames;
 
 /// Pause before a failed write is retried.
 const RETRY: Duration = Duration::from_millis(500);
+
+/// Interval between checks that the files of the recording are at their paths.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// Settings for recording frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,13 +49,28 @@ pub(crate) struct Past {
     pub(crate) is_whole: bool,
 }
 
+/// A change of the folder of the recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FolderChange {
+    /// The folder or its files are gone.
+    Lost,
+    /// The recording continues in the folder.
+    Back,
+}
+
 /// The recording of one structure.
 #[derive(Debug)]
 pub(crate) struct Recorder {
     structure: String,
+    of: LogLayout,
+    settings: RecordingSettings,
     disk: DiskThread,
-    log: FrameLog,
-    reader: FrameLogReader,
+    /// `None` while the folder is lost.
+    log: Option<FrameLog>,
+    reader: Arc<RwLock<FrameLogReader>>,
+    /// Changes that are not yet reported.
+    changes: Vec<FolderChange>,
+    checked: Instant,
     waiting: UnrecordedFrames,
     /// The completeness mark on disk: whether all published frames are recorded. `None` if there is
     /// no mark.
@@ -80,18 +99,8 @@ impl Recorder {
                 .collect(),
             sampling_rate_hz: layout.sampling_rate_hz(),
         };
-        let (log, opened) = FrameLog::open(&settings.folder, of, settings.log)?;
-        if opened.torn_bytes > 0 {
-            warn!(
-                structure,
-                bytes = opened.torn_bytes,
-                "the recording ended in an incomplete record, which was removed"
-            );
-        }
-        for path in &opened.set_aside {
-            warn!(structure, file = %path.display(), "no part of this recording is readable; file \
-                set aside");
-        }
+        let (log, opened) = FrameLog::open(&settings.folder, of.clone(), settings.log)?;
+        log_repairs(structure, &opened);
         let is_whole = opened.is_complete != Some(false) && (opened.was_closed || opened.same_boot);
         let past = opened.last.map(|last| Past {
             nodes: places(&last),
@@ -100,15 +109,19 @@ impl Recorder {
         });
         let recorder = Self {
             structure: structure.to_owned(),
+            of,
             disk: DiskThread::start().map_err(IngestError::NoThread)?,
-            reader: log.reader(),
-            log,
+            reader: Arc::new(RwLock::new(log.reader())),
+            log: Some(log),
+            changes: Vec::new(),
+            checked: Instant::now(),
             waiting: UnrecordedFrames::default(),
             is_noted_complete: opened.is_complete,
             refused_at: None,
             sync_every: settings.sync_every,
             synced: moment_within(settings.sync_every),
             syncing: None,
+            settings: settings.clone(),
         };
         Ok((recorder, past))
     }
@@ -141,6 +154,7 @@ impl Recorder {
     }
 
     fn write(&mut self, blocks: &[FrameBlock], places: &[NodePlace]) {
+        self.check_folder();
         let last = blocks.len().saturating_sub(1);
         for (number, block) in blocks.iter().enumerate() {
             let nodes = if number == last { places } else { &[] };
@@ -160,13 +174,21 @@ impl Recorder {
         self.waiting.frames() == 0
     }
 
-    /// Retries failed writes and syncs written frames to disk, each when due.
+    /// Returns the changes of the folder since the last call.
+    pub(crate) fn take_changes(&mut self) -> Vec<FolderChange> {
+        std::mem::take(&mut self.changes)
+    }
+
+    /// Checks the folder, retries failed writes and syncs written frames to disk, each when due.
     pub(crate) async fn tend(&mut self) {
-        if self
-            .refused_at
-            .is_some_and(|refused| refused.elapsed() >= RETRY)
-        {
-            tokio::task::block_in_place(|| self.write_waiting());
+        let is_due = |refused: Instant| refused.elapsed() >= RETRY;
+        if self.checked.elapsed() >= CHECK_EVERY || self.refused_at.is_some_and(is_due) {
+            tokio::task::block_in_place(|| {
+                self.check_folder();
+                if self.refused_at.is_some_and(is_due) {
+                    self.write_waiting();
+                }
+            });
         }
         if self.synced.elapsed() < self.sync_every
             || self
@@ -178,15 +200,68 @@ impl Recorder {
         }
         self.report_sync().await;
         self.synced = Instant::now();
-        let syncer: LogSyncer = self.log.syncer();
+        let Some(log) = &self.log else {
+            return;
+        };
+        let syncer: LogSyncer = log.syncer();
         self.syncing = Some(tokio::task::spawn_blocking(move || syncer.sync()));
+    }
+
+    /// Stops writing if the files of the recording are no longer at their paths.
+    ///
+    /// What was written since then is in files that no path leads to. They may be lost.
+    fn check_folder(&mut self) {
+        if self.checked.elapsed() < CHECK_EVERY {
+            return;
+        }
+        self.checked = Instant::now();
+        let Some(mut log) = self.log.take_if(|log| log.is_lost()) else {
+            return;
+        };
+        // The files may come back, for example with their disk. They then lack the frames of the
+        // time between.
+        if log.note_complete(false).is_ok() {
+            self.is_noted_complete = Some(false);
+        }
+        let (structure, folder) = (self.structure.as_str(), self.settings.folder.display());
+        warn!(structure, %folder, "the folder of the recording is gone; frames stay in memory and \
+            monitoring continues");
+        self.changes.push(FolderChange::Lost);
+        self.refused_at = Some(Instant::now());
+    }
+
+    /// Opens the recording again if its folder is back. A missing folder is not created, because it
+    /// would hide the former one.
+    fn open_again(&mut self) -> Result<(), RecordError> {
+        if self.log.is_some() {
+            return Ok(());
+        }
+        let folder = &self.settings.folder;
+        if let Err(source) = std::fs::read_dir(folder) {
+            let path = folder.clone();
+            return Err(RecordError::WriteLog { path, source });
+        }
+        let (log, opened) = FrameLog::open(folder, self.of.clone(), self.settings.log)?;
+        log_repairs(&self.structure, &opened);
+        *self.reader.write().unwrap_or_else(PoisonError::into_inner) = log.reader();
+        self.is_noted_complete = opened.is_complete;
+        self.log = Some(log);
+        self.changes.push(FolderChange::Back);
+        Ok(())
     }
 
     /// Writes the waiting frames and closes the recording.
     pub(crate) async fn close(mut self) -> Result<(), IngestError> {
         self.report_sync().await;
         self.write_waiting();
-        Ok(self.log.close()?)
+        match self.log {
+            Some(log) => Ok(log.close()?),
+            None => {
+                let (structure, frames) = (self.structure, self.waiting.frames());
+                warn!(structure, frames, "frames not recorded: the folder is gone");
+                Ok(())
+            }
+        }
     }
 
     /// Returns the counters of waiting and lost frames for a status message.
@@ -204,8 +279,15 @@ impl Recorder {
 
     /// Writes the waiting blocks in pieces until the disk reports an error.
     fn write_waiting(&mut self) {
+        let opened = self.open_again();
         let structure = self.structure.as_str();
-        let log = &mut self.log;
+        let Some(log) = &mut self.log else {
+            if let Err(error) = opened {
+                debug!(structure, %error, "the recording cannot be opened again yet");
+            }
+            self.refused_at = Some(Instant::now());
+            return;
+        };
         let before = self.waiting.frames();
         loop {
             let piece = self.waiting.piece();
@@ -260,15 +342,36 @@ impl Recorder {
     }
 }
 
+fn log_repairs(structure: &str, opened: &OpenedLog) {
+    if opened.torn_bytes > 0 {
+        warn!(
+            structure,
+            bytes = opened.torn_bytes,
+            "the recording ended in an incomplete record, which was removed"
+        );
+    }
+    for path in &opened.set_aside {
+        warn!(structure, file = %path.display(), "no part of this recording is readable; file set \
+            aside");
+    }
+}
+
 /// The archive of recorded frames, for queries that go back further than the frames in memory.
 #[derive(Debug, Clone)]
 pub(crate) struct RecordedFrames {
-    reader: FrameLogReader,
+    reader: Arc<RwLock<FrameLogReader>>,
+}
+
+impl RecordedFrames {
+    fn reader(&self) -> FrameLogReader {
+        let reader = self.reader.read();
+        reader.unwrap_or_else(PoisonError::into_inner).clone()
+    }
 }
 
 impl Archive<FrameBlock> for RecordedFrames {
     fn read(&self, epoch: u64, after: u64, limit: u64, bytes: usize) -> Option<FrameBlock> {
-        match self.reader.read(epoch, after, limit, bytes) {
+        match self.reader().read(epoch, after, limit, bytes) {
             Ok(frames) => frames.map(to_block),
             Err(error) => {
                 warn!(%error, "recording read failed");
@@ -278,7 +381,7 @@ impl Archive<FrameBlock> for RecordedFrames {
     }
 
     fn epoch_after(&self, epoch: u64) -> Option<u64> {
-        self.reader.next_epoch(Some(epoch))
+        self.reader().next_epoch(Some(epoch))
     }
 }
 

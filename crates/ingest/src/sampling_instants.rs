@@ -2,7 +2,8 @@
 //!
 //! Nodes sample at the same rate, but rarely at the same instants. The phase of a sample is its
 //! time minus the time that its number alone would give. The mean phase over the latest
-//! [`WINDOW`] samples tells when the node samples, even if the time stamps of its blocks jitter.
+//! [`WINDOW`] samples determines when the node samples, even if the time stamps of its blocks
+//! jitter. Phases far from the median do not count.
 //! The value at the time of a frame is interpolated from the neighbouring samples (Lagrange), so
 //! that all values of a frame belong to one instant.
 //!
@@ -44,20 +45,22 @@ pub(crate) struct SamplingInstants {
     grid: Option<TimeGrid>,
     /// Number and phase of the latest samples that are evenly spaced, oldest first.
     past: VecDeque<((u64, u64), i64)>,
-    phase_sum: i128,
+    /// Largest deviation from the usual phase of a sample that counts for the mean.
+    tolerance_ns: i64,
     /// Values of the latest [`HALF_STENCIL`] samples of `past`, oldest first.
     values: VecDeque<f64>,
     offset_ns: i64,
 }
 
 impl SamplingInstants {
-    pub(crate) fn new(channels: usize) -> Self {
+    /// Samples that deviate by more than `tolerance_ns` from the median phase do not count.
+    pub(crate) fn new(channels: usize, tolerance_ns: i64) -> Self {
         Self {
             channels,
             rate_hz: 0.0,
             grid: None,
             past: VecDeque::new(),
-            phase_sum: 0,
+            tolerance_ns,
             values: VecDeque::new(),
             offset_ns: 0,
         }
@@ -77,7 +80,6 @@ impl SamplingInstants {
         self.reach(stamp);
         let phase_ns = self.phase_ns(stamp);
         self.past.push_back((stamp.number, phase_ns));
-        self.phase_sum += i128::from(phase_ns);
         self.values.extend(values);
         let excess = self
             .values
@@ -91,9 +93,7 @@ impl SamplingInstants {
     pub(crate) fn steps_from(&mut self, frame_ns: i64, stamp: Stamp) -> Option<f64> {
         self.reach(stamp);
         let phase_ns = self.phase_ns(stamp);
-        let sum = self.phase_sum + i128::from(phase_ns);
-        let count = self.past.len() as i128 + 1;
-        let mean_ns = i64::try_from(sum.div_euclid(count)).unwrap_or(phase_ns);
+        let mean_ns = self.mean_phase_ns(phase_ns);
         // Equal to the mean phase plus the time of the number.
         let instant_ns = stamp
             .time_ns
@@ -160,6 +160,7 @@ impl SamplingInstants {
         (is_off(self.offset_ns) || is_off(jitter_ns)).then_some(NodeClock {
             offset_s: self.offset_ns as f64 / 1e9,
             jitter_s: jitter_ns as f64 / 1e9,
+            difference_s: None,
         })
     }
 
@@ -174,9 +175,7 @@ impl SamplingInstants {
             self.forget();
         }
         let is_old = |((_, old), _): &((u64, u64), i64)| old.saturating_add(WINDOW) < sequence;
-        while let Some((_, phase_ns)) = self.past.pop_front_if(|past| is_old(past)) {
-            self.phase_sum -= i128::from(phase_ns);
-        }
+        while self.past.pop_front_if(|past| is_old(past)).is_some() {}
         let kept = self.past.len() * self.channels;
         let excess = self.values.len().saturating_sub(kept);
         self.values.drain(..excess);
@@ -185,7 +184,28 @@ impl SamplingInstants {
     fn forget(&mut self) {
         self.past.clear();
         self.values.clear();
-        self.phase_sum = 0;
+    }
+
+    /// Returns the mean of the past phases and the present one, ns. A few wrong time stamps, such
+    /// as those of dropped samples, have no effect: they are far from the median.
+    fn mean_phase_ns(&self, present_ns: i64) -> i64 {
+        let phases = || self.past.iter().map(|(_, ns)| *ns).chain([present_ns]);
+        let (low, high) = phases().fold((present_ns, present_ns), |(low, high), ns| {
+            (low.min(ns), high.max(ns))
+        });
+        let mut usual = low..=high;
+        if high.saturating_sub(low) > self.tolerance_ns {
+            let mut sorted: Vec<i64> = phases().collect();
+            let middle = sorted.len() / 2;
+            let (_, median, _) = sorted.select_nth_unstable(middle);
+            usual =
+                median.saturating_sub(self.tolerance_ns)..=median.saturating_add(self.tolerance_ns);
+        }
+        let counted = phases().filter(|ns| usual.contains(ns));
+        let (sum, count) =
+            counted.fold((0, 0), |(sum, count), ns| (sum + i128::from(ns), count + 1));
+        // The median always counts.
+        i64::try_from(sum.div_euclid(count)).unwrap_or(present_ns)
     }
 
     fn phase_ns(&self, stamp: Stamp) -> i64 {

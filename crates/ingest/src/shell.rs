@@ -18,9 +18,12 @@ use tracing::{info, warn};
 use crate::align::{Alignment, AlignmentInput, NodePlace};
 use crate::drop_watch::DropWatch;
 use crate::error::IngestError;
-use crate::lateness::Lateness;
 use crate::layout::Layout;
-use crate::recorder::{Past, Recorder, RecordingSettings};
+use crate::lockout_watch::LockoutWatch;
+use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
+use crate::timekeeping::Timekeeping;
+
+mod clocks;
 
 /// Number of frames kept for subscribers that start late or missed frames. It exceeds the
 /// flow-control window of a replay. Without a recording, all of them are in memory.
@@ -95,7 +98,8 @@ enum Sign {
 pub struct IngestService {
     core: Alignment,
     layout: Layout,
-    lateness: Option<Lateness>,
+    /// `None` if frames wait without limit.
+    timekeeping: Option<Timekeeping>,
     started: Instant,
     nodes: StreamGroup<SampleBlock>,
     last_heard: Vec<Duration>,
@@ -111,6 +115,7 @@ pub struct IngestService {
     progress: ProgressPublisher,
     status: StatusPublisher,
     drop_watch: DropWatch,
+    lockout_watch: LockoutWatch,
     events: EventPublisher,
     keys: Keys,
     /// Pace of the last block. The nodes of a structure are either all live or all replayed.
@@ -276,7 +281,7 @@ impl IngestService {
                 .await?;
             let service = Self {
                 core,
-                lateness: allowed.map(|allowed| Lateness::new(allowed, node_count)),
+                timekeeping: allowed.map(|allowed| Timekeeping::new(allowed, node_count)),
                 started: Instant::now(),
                 last_heard: vec![Duration::ZERO; node_count],
                 signs: vec![Sign::Present; node_count],
@@ -294,6 +299,7 @@ impl IngestService {
                     allowed.unwrap_or_default().as_secs_f64(),
                     layout.tolerance_ns() as f64 / 1e9,
                 ),
+                lockout_watch: LockoutWatch::new(node_count),
                 events: EventPublisher::declare(bus, &keys).await?,
                 pace: Pace::Live,
                 pace_heard: None,
@@ -347,8 +353,10 @@ impl IngestService {
                         }
                     }
                     _ = status.tick() => {
+                        self.report_clocks().await?;
                         self.put_status().await?;
                         self.report_drops().await?;
+                        self.report_folder().await?;
                     }
                     () = &mut stop => break,
                 }
@@ -389,15 +397,9 @@ impl IngestService {
         if self.signs[node] == Sign::Lost {
             self.signs[node] = Sign::Gone;
         }
-        // Frames of a replay wait without limit, and its times can lie in the future of the live
-        // samples that follow it.
-        let lateness = self.lateness.as_mut();
-        let lateness = lateness.filter(|_| block.pace == Pace::Live);
-        if let (Some(lateness), Some(grid)) = (lateness, block.grid()) {
-            let count = block.iter().count() as u64;
-            if let Some(last) = count.checked_sub(1) {
-                lateness.arrived(node, grid.time_ns(last), elapsed);
-            }
+        let arrived = |timekeeping: &mut Timekeeping| timekeeping.arrived(node, &block, elapsed);
+        for input in self.timekeeping.as_mut().map_or_else(Vec::new, arrived) {
+            self.handle(input).await?;
         }
         self.handle(AlignmentInput::Samples { node, block }).await
     }
@@ -407,9 +409,9 @@ impl IngestService {
         let epoch = self.core.epoch();
         self.core.handle(input, &mut blocks);
         if self.core.epoch() != epoch
-            && let Some(lateness) = &mut self.lateness
+            && let Some(timekeeping) = &mut self.timekeeping
         {
-            lateness.reset();
+            timekeeping.begin_run();
         }
         if let Some(recorder) = self.recorder.take_if(|_| !blocks.is_empty()) {
             let (recorder, recorded) = recorder.record(blocks, self.core.places()).await?;
@@ -498,12 +500,9 @@ impl IngestService {
             // Frames wait for the other nodes of a record, however far behind they are.
             return Ok(());
         }
-        let deadline = self
-            .lateness
-            .as_mut()
-            .and_then(|lateness| lateness.deadline_ns(elapsed));
-        match deadline {
-            Some(time_ns) => self.handle(AlignmentInput::Deadline { time_ns }).await,
+        let timekeeping = self.timekeeping.as_mut();
+        match timekeeping.and_then(|timekeeping| timekeeping.deadline(elapsed)) {
+            Some(deadline) => self.handle(deadline).await,
             None => Ok(()),
         }
     }
@@ -514,6 +513,9 @@ impl IngestService {
         let counts = self.core.node_counts();
         let elapsed = self.started.elapsed();
         self.drop_watch.read(counts, elapsed, &mut reports);
+        let excluded = self.nodes.counts();
+        let excluded = excluded.map(|counts| counts.follow.locked_out_blocks);
+        self.lockout_watch.read(excluded, elapsed, &mut reports);
         for report in reports {
             let Some(node) = self.layout.nodes().get(report.node) else {
                 continue; // reports have the indices of the layout
@@ -534,16 +536,50 @@ impl IngestService {
         Ok(())
     }
 
+    /// Publishes an event when the folder of the recording is lost or back.
+    async fn report_folder(&mut self) -> Result<(), IngestError> {
+        let changes = self
+            .recorder
+            .as_mut()
+            .map(|recorder| recorder.take_changes());
+        for change in changes.unwrap_or_default() {
+            let (kind, what, why) = match change {
+                FolderChange::Lost => (
+                    EventKind::StateLost,
+                    "frames are not recorded; they wait in memory",
+                    "the folder of the recording is gone",
+                ),
+                FolderChange::Back => (
+                    EventKind::StateBack,
+                    "frames are recorded again",
+                    "the folder of the recording is back",
+                ),
+            };
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: self.last_time_ns.unwrap_or(0),
+                kind,
+                subject: "ingest".to_owned(),
+                what: what.to_owned(),
+                why: why.to_owned(),
+            };
+            self.events.put(&event).await?;
+        }
+        Ok(())
+    }
+
     async fn put_status(&self) -> Result<(), IngestError> {
         let mut drops: BTreeMap<String, u64> = self.core.counts().drops();
         for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
             *drops.entry(reason).or_default() += count;
         }
         drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
-        let nodes = self.layout.nodes().iter().zip(self.core.node_clocks());
-        let clocks = nodes.filter_map(|(node, clock)| Some((node.name.clone(), clock?)));
+        if self.frames.refused_queries() > 0 {
+            let refused = self.frames.refused_queries();
+            drops.insert("refused-queries".to_owned(), refused);
+        }
         let report = Report {
-            clocks: clocks.collect(),
+            clocks: self.node_clocks(),
             done: self.done,
             processed_ns: self.last_time_ns,
             drops,

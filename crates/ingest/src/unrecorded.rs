@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_are_small_in_order_and_all_there_is() {
+    fn pieces_are_small_ordered_and_complete() {
         let mut waiting = UnrecordedFrames::default();
         // Half a mebibyte each: 65,536 values.
         (0..20).for_each(|k| waiting.push(block(k * 64, 64, 1024)));

@@ -131,7 +131,7 @@ async fn next(stream: &Stream<FrameBlock>) -> FrameBlock {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn all_samples_become_frames_however_far_one_node_is_ahead() {
+async fn all_samples_become_frames_if_one_node_is_far_ahead() {
     let (first, second) = pair().await;
     let ingest = start_ingest(&second, FrameWait::Unlimited).await;
     let (base, roof) = (node(&first, "base").await, node(&first, "roof").await);

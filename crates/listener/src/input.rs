@@ -1,10 +1,10 @@
 //! The inputs of the present state, and their comparison with the keys of their messages.
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, EstimateBlock, Event, FitDisplay, HistoryLog, KeyFamily as K,
-    LossDisplay, ModelClassDisplay, MonitoringDisplay, Name, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, ParameterDisplay, Progress, SensorHealthDisplay, Service, Status, Topic,
-    parse_key,
+    Acknowledgement, AlertMessage, ConditionDisplay, EstimateBlock, Event, FitDisplay, HistoryLog,
+    KeyFamily as K, LossDisplay, ModelClassDisplay, MonitoringDisplay, Name, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SensorHealthDisplay, Service, Status,
+    Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -24,6 +24,10 @@ pub enum Input {
     Outlier(OutlierDisplay),
     /// Comparison of the sensors of a node with the others.
     SensorHealth(SensorHealthDisplay),
+    /// A value of a condition.
+    Condition(ConditionDisplay),
+    /// The latest value of a condition, and its age when the query was answered.
+    StandingCondition(ConditionDisplay, Duration),
     /// The plausibility of the model classes.
     Classes(ModelClassDisplay),
     /// The station's assessment of a node.
@@ -112,6 +116,9 @@ impl Input {
             Self::Noise(m) => (&m.structure, Topic::new(K::Noise, &m.name)),
             Self::Outlier(m) => (&m.structure, Topic::new(K::Outlier, &m.channel)),
             Self::SensorHealth(m) => (&m.structure, Topic::new(K::SensorHealth, &m.node)),
+            Self::Condition(m) | Self::StandingCondition(m, _) => {
+                (&m.structure, Topic::new(K::Condition, &m.name))
+            }
             Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
             Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),
             Self::Fit(m) => (&m.structure, Topic::single(K::Fit)),
@@ -144,7 +151,7 @@ mod tests {
     use spandrel_bus::AlertState;
 
     #[test]
-    fn a_message_on_the_key_of_another_is_misplaced() {
+    fn message_on_a_key_of_another_sender_is_misplaced() {
         let placed = |key: &str, input: &Input| {
             Input::placed(&name("spandrel"), key, |_| input.clone()) == *input
         };

@@ -40,5 +40,5 @@ mod testing;
 
 pub use input::{Input, Instance};
 pub use listener::{DisplayTopic, Listener, Needs};
-pub use structure::{AlertChange, InstanceState, STALE_AFTER, StructureState};
+pub use structure::{AlertChange, ConditionState, InstanceState, STALE_AFTER, StructureState};
 pub use structures::Structures;

@@ -2,12 +2,12 @@
 
 use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, BoxedFuture, Bus, BusError, HistoryLog, KeyFamily as K, LiveWatch, Message, Name,
-    Service, SpanQuery, Subscription,
+    AlertMessage, BoxedFuture, Bus, BusError, ConditionDisplay, HistoryLog, KeyFamily as K,
+    LiveWatch, Message, Name, Service, SpanQuery, Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::task::JoinSet;
 use tracing::warn;
 
@@ -41,6 +41,8 @@ pub enum DisplayTopic {
     Outliers,
     /// [`Input::SensorHealth`]
     SensorHealth,
+    /// [`Input::Condition`]
+    Conditions,
     /// [`Input::Classes`]
     Classes,
     /// [`Input::Node`]
@@ -74,7 +76,7 @@ pub struct Needs {
 /// The subscriptions to one structure, or to all below a root.
 ///
 /// Whenever an alert service appears, it queries the current alerts, because the service may have
-/// restarted.
+/// restarted. Whenever a feed appears, it queries the latest values of the conditions.
 #[derive(Debug)]
 pub struct Listener {
     at: Place,
@@ -170,6 +172,10 @@ impl Listener {
         if is_new(Service::History) && is_logged(Service::History) {
             self.asked.spawn(self.at.clone().past());
         }
+        // A slow quantity has its next value perhaps in an hour.
+        if is_new(Service::Feed) && self.needs.topics.contains(&DisplayTopic::Conditions) {
+            self.asked.spawn(self.at.clone().conditions());
+        }
         self.present.clone_from(&present);
         Some(Input::Present(present))
     }
@@ -257,6 +263,7 @@ impl Place {
                 self.queue(K::SensorHealth, |_, m| Input::SensorHealth(m))
                     .await
             }
+            T::Conditions => self.queue(K::Condition, |_, m| Input::Condition(m)).await,
             T::Classes => self.queue(K::ModelClass, |_, m| Input::Classes(m)).await,
             T::Nodes => self.queue(K::Node, |_, m| Input::Node(m)).await,
             T::Fit => self.queue(K::Fit, |_, m| Input::Fit(m)).await,
@@ -295,6 +302,25 @@ impl Place {
             Input::placed(&self.root, &key, |_| Input::StandingAlert(alert))
         };
         Ok(alerts.into_iter().map(standing).collect())
+    }
+
+    /// Queries the latest values of the conditions from a feed that is present.
+    async fn conditions(self) -> Result<Vec<Input>, BusError> {
+        let key = self.key(K::Condition);
+        let found = self.bus.ask_present(&key, ANSWER_WITHIN).await?;
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "the age of a value that was measured before the query"
+        )]
+        let now = SystemTime::now().duration_since(UNIX_EPOCH);
+        let now = now.unwrap_or_default();
+        let standing = |(key, message): (String, ConditionDisplay)| {
+            let measured = Duration::from_nanos(message.time_ns.max(0).unsigned_abs());
+            Input::placed(&self.root, &key, |_| {
+                Input::StandingCondition(message, now.saturating_sub(measured))
+            })
+        };
+        Ok(found.into_iter().map(standing).collect())
     }
 
     /// Queries the last changes of alerts, and then the current alerts.

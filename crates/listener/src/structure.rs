@@ -2,9 +2,10 @@
 
 use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Arrivals, FitDisplay, LossDisplay, MAX_CHANNELS, ModelClassDisplay,
-    MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    SensorHealthDisplay, Service, Status, is_without_date, reported_pace,
+    AlertMessage, Arrivals, ConditionDisplay, FitDisplay, LossDisplay, MAX_CHANNELS,
+    ModelClassDisplay, MonitoringDisplay, MonitoringState, Name, NodeDisplay, NoiseDisplay,
+    OutlierDisplay, Pace, ParameterDisplay, ParameterMonitoring, SensorHealthDisplay, Service,
+    Status, is_without_date, reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -29,6 +30,8 @@ pub struct StructureState {
     pub outliers: BTreeMap<Name, OutlierDisplay>,
     /// Comparison of the sensors of each node with the others.
     pub sensor_health: BTreeMap<Name, SensorHealthDisplay>,
+    /// Latest values of the conditions.
+    pub conditions: BTreeMap<Name, ConditionState>,
     /// State of the model classes. `None` if there is a single model or no message has arrived.
     pub classes: Option<ModelClassDisplay>,
     /// Verdict on the fit. `None` before the first message, and if no service judges it.
@@ -64,6 +67,38 @@ pub struct InstanceState {
     pub status: Option<Status>,
     /// Arrival time of the last status.
     pub status_at: Duration,
+}
+
+/// Latest value of a condition.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConditionState {
+    /// The value.
+    pub display: ConditionDisplay,
+    /// Arrival time.
+    at: Duration,
+    /// Age at the arrival. It is zero unless the value was queried.
+    age: Duration,
+}
+
+impl ConditionState {
+    /// Number of expected intervals without a value after which a condition is stale. A value may
+    /// arrive a little later than its interval.
+    const STALE_AFTER_INTERVALS: f64 = 2.0;
+
+    /// Returns the age at the time `now` of [`StructureState::now`].
+    #[must_use]
+    pub fn age(&self, now: Duration) -> Duration {
+        self.age.saturating_add(now.saturating_sub(self.at))
+    }
+
+    /// Returns `true` if a value is overdue. Without a stated interval, no value is.
+    #[must_use]
+    pub fn is_stale(&self, now: Duration) -> bool {
+        let interval_s = self.display.interval_s;
+        interval_s.is_some_and(|interval_s| {
+            self.age(now).as_secs_f64() > Self::STALE_AFTER_INTERVALS * interval_s
+        })
+    }
 }
 
 /// A new state of an alert.
@@ -126,6 +161,13 @@ impl StructureState {
                     left_out,
                 );
             }
+            Input::Condition(display) => self.take_condition(display, Duration::ZERO),
+            Input::StandingCondition(display, age) => {
+                let known = self.conditions.get(&display.name);
+                if known.is_none_or(|known| known.display.time_ns < display.time_ns) {
+                    self.take_condition(display, age);
+                }
+            }
             Input::Classes(display) => self.classes = Some(display),
             Input::Node(display) => {
                 keep(&mut self.nodes, display.node.clone(), display, left_out);
@@ -158,6 +200,12 @@ impl StructureState {
             | Input::Event(_)
             | Input::Past(_) => {}
         }
+    }
+
+    fn take_condition(&mut self, display: ConditionDisplay, age: Duration) {
+        let (name, at) = (display.name.clone(), self.now);
+        let state = ConditionState { display, at, age };
+        keep(&mut self.conditions, name, state, &mut self.left_out);
     }
 
     fn take_alert(&mut self, alert: AlertMessage, changes: &mut Vec<AlertChange>) {
@@ -222,6 +270,7 @@ impl StructureState {
             && self.noise.is_empty()
             && self.alerts.is_empty()
             && self.nodes.is_empty()
+            && self.conditions.is_empty()
             && self.instances.is_empty()
     }
 
@@ -279,6 +328,14 @@ impl StructureState {
     pub fn monitoring(&self) -> Option<&MonitoringDisplay> {
         let (display, at) = self.monitoring.as_ref()?;
         (self.now.saturating_sub(*at) <= STALE_AFTER).then_some(display)
+    }
+
+    /// Returns the report on a parameter if the present data do not reveal its damage.
+    #[must_use]
+    pub fn unwatched(&self, parameter: &Name) -> Option<&ParameterMonitoring> {
+        let mut parameters = self.monitoring()?.parameters.iter();
+        let of_it = parameters.find(|of| of.parameter == *parameter)?;
+        (of_it.state != MonitoringState::Watching).then_some(of_it)
     }
 
     /// Returns the time since the last status of an instance, if it exceeds [`STALE_AFTER`].

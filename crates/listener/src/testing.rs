@@ -75,7 +75,7 @@ pub(crate) fn status(service: Service) -> Status {
         fit: None,
         undecided: BTreeMap::new(),
         instruments: BTreeMap::new(),
-        clocks: std::collections::BTreeMap::new(),
+        clocks: BTreeMap::new(),
         maintenance: Vec::new(),
         state: None,
         done: 0,

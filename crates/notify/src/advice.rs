@@ -59,6 +59,10 @@ fn of_alert(alert: &AlertMessage, scene: &Scene<'_>) -> String {
         let fit = fit_in_words(FitVerdict::Doubtful, alert.fit_reasons);
         return format!("Inspect {part}, and check the model ({fit}).");
     }
+    let is_watched = |display: &MonitoringDisplay| display.state == MonitoringState::Watching;
+    if !scene.monitoring.is_some_and(is_watched) {
+        return format!("Inspect {part}, and check the data: not all of the structure is watched.");
+    }
     format!("Inspect {part} first: the data are good, and nothing speaks against the loss.")
 }
 
@@ -141,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn advice_depends_on_what_speaks_against_the_loss() {
+    fn advice_depends_on_the_evidence_against_the_loss() {
         let watching = Some(MonitoringState::Watching);
         let raised = |change: fn(&mut AlertMessage)| {
             let mut alert = alert(20, AlertState::Raised);
@@ -162,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn blindness_names_the_node_or_the_server() {
+    fn advice_for_a_blind_structure_names_the_node_or_the_server() {
         let blind = || Report::Monitoring(monitoring(9, MonitoringState::Blind, 5, &["x"]));
         let advice = given(blind(), Some(MonitoringState::Watching), &["ground-node"]);
         assert!(

@@ -92,7 +92,7 @@ impl Content {
         }
     }
 
-    /// Returns `true` if the report calls for somebody, and nobody has acknowledged it.
+    /// Returns `true` if the state requires action, and nobody has acknowledged it.
     pub(crate) fn is_open(&self) -> bool {
         match &self.report {
             Report::Alert(alert) if alert.stands() => alert.is_unseen(),
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn link_opens_the_structure_at_the_part_and_the_moment() {
+    fn link_contains_structure_part_and_time() {
         let raised = AlertMessage {
             time_ns: 1_795_220_273_536_294_717,
             ..alert(0, AlertState::Raised)
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn content_names_the_data_quality_and_what_else_happens() {
+    fn content_names_the_data_quality_and_other_alerts() {
         let own = alert(20, AlertState::Raised);
         let of = |part: &str, state| AlertMessage {
             parameter: name(part),

@@ -154,6 +154,21 @@ impl Memory {
         }
     }
 
+    /// Reports a folder that is gone, without waiting for something to save.
+    pub(crate) fn look(&mut self) {
+        let is_new = self.failures.consecutive() == 0 && !self.checkpoints.has_folder();
+        if is_new && self.failures.failed() {
+            warn!(
+                "the folder of the checkpoints is gone; after a crash, notices may be missing or be sent twice"
+            );
+        }
+    }
+
+    /// Returns `true` if the last save failed and the folder is back.
+    pub(crate) fn is_back(&self) -> bool {
+        self.failures.consecutive() > 0 && self.checkpoints.has_folder()
+    }
+
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.consecutive();
@@ -246,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn notice_that_a_former_version_could_not_deliver_is_delivered_under_its_key() {
+    fn undelivered_notice_of_a_former_version_is_delivered_under_its_key() {
         for version in FORMER {
             let sent = send(&mut kept_by(version));
             let [(0, key, alert)] = &sent[..] else {
@@ -259,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn alert_that_a_former_version_delivered_is_not_sent_again_and_its_end_is() {
+    fn only_the_end_of_an_alert_delivered_by_a_former_version_is_sent() {
         for version in FORMER {
             let mut outbox = kept_by(version);
             let (_, _, of_storey_2) = send(&mut outbox).remove(0);

@@ -98,7 +98,7 @@ fn of_alert(alert: &AlertMessage) -> Value {
     value
 }
 
-/// Blind and degraded are two alerts. The one that does not hold ends.
+/// Blind and degraded are separate alerts. The inactive alert ends.
 fn of_monitoring(display: &MonitoringDisplay) -> Vec<Value> {
     let states = [
         (MonitoringState::Blind, "SpandrelBlind", "critical"),
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_gets_the_alert_as_on_the_bus_with_its_key_and_circumstances() {
+    fn webhook_receives_the_alert_with_key_and_circumstances() {
         let value = plain(&of_alert(&alert(20, AlertState::Raised)));
         assert_eq!(value["state"], "raised");
         assert_eq!(value["key"], "house/storey-2/20000000000/raised");
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn alertmanager_gets_one_alert_that_begins_and_ends() {
+    fn alertmanager_receives_start_and_end_of_one_alert() {
         let raised = for_alertmanager(&of_alert(&alert(20, AlertState::Raised)));
         assert_eq!(raised[0]["labels"]["parameter"], "storey-2");
         assert_eq!(raised[0]["startsAt"], "1970-01-01T00:00:15Z");
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn alertmanager_gets_blindness_that_begins_and_ends() {
+    fn alertmanager_receives_start_and_end_of_blindness() {
         let body = |state| {
             let display = monitoring(20, state, 5, &["x"]);
             for_alertmanager(&content(Report::Monitoring(display)))
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn people_get_the_sentence_and_the_figures_behind_it() {
+    fn mail_contains_the_sentence_and_its_figures() {
         let (subject, text) = mail(&of_alert(&alert(20, AlertState::Raised)));
         assert_eq!(subject, "house: alert of storey-2 raised");
         for part in [
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn people_see_simulations_tests_and_blindness_at_once() {
+    fn subject_marks_simulations_tests_and_blindness() {
         let mut simulated = of_alert(&alert(20, AlertState::Raised));
         simulated.circumstances.origin = Origin::Simulated;
         simulated.unanswered_s = Some(1800);

@@ -83,7 +83,7 @@ mod tests {
     use crate::testing::{maintenance, name};
 
     #[test]
-    fn period_mutes_until_its_end_and_not_forever() {
+    fn maintenance_mutes_until_its_end_and_for_a_limited_time() {
         let mut muting = Muting::default();
         let period = maintenance(Some("deck"), 10, 100);
         assert_eq!(
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn person_ends_it_early_and_a_new_period_replaces_the_former() {
+    fn maintenance_can_end_early_and_a_new_period_replaces_the_former() {
         let mut muting = Muting::default();
         muting.take(maintenance(None, 10, 100), 10);
         muting.take(maintenance(None, 20, 200), 20);

@@ -42,6 +42,8 @@ pub(crate) struct Origins {
     mixed_ns: Option<i64>,
     /// Wall-clock time at which the simulated nodes left, ns since the Unix epoch, UTC.
     left_ns: Option<i64>,
+    /// Nodes that have measured and have not been simulated since then. They may be absent.
+    measuring: BTreeSet<Name>,
 }
 
 /// Present observations of the origin.
@@ -63,10 +65,13 @@ impl Origins {
     /// Updates the origin. Returns `true` if it has changed.
     ///
     /// A structure with simulated and measured nodes counts as measured, so that nobody can mute a
-    /// real structure by simulating one of its nodes.
+    /// real structure by simulating one of its nodes. A measured node counts even while it is
+    /// absent, because its link may be broken.
     pub(crate) fn look(&mut self, signs: Signs<'_>) -> bool {
         let before = self.origin;
-        let is_whole = signs.present.is_subset(signs.simulated);
+        self.measuring
+            .retain(|node| !signs.simulated.contains(node));
+        let is_whole = self.measuring.is_empty() && signs.present.is_subset(signs.simulated);
         if is_whole || signs.simulated.is_empty() {
             self.mixed_ns = None;
         }
@@ -78,6 +83,8 @@ impl Origins {
                 let since_ns = *self.mixed_ns.get_or_insert(signs.wall_ns);
                 if signs.wall_ns.saturating_sub(since_ns) >= MIXED_FOR_NS {
                     self.origin = Origin::Measured;
+                    let measuring = signs.present.difference(signs.simulated);
+                    self.measuring.extend(measuring.cloned());
                 }
             }
         } else if self.origin == Origin::Simulated {
@@ -91,7 +98,10 @@ impl Origins {
         } else {
             match signs.pace {
                 Some(Pace::Replayed) => self.origin = Origin::Replayed,
-                Some(Pace::Live) => self.origin = Origin::Measured,
+                Some(Pace::Live) => {
+                    self.origin = Origin::Measured;
+                    self.measuring.extend(signs.present.iter().cloned());
+                }
                 None => {}
             }
         }
@@ -147,6 +157,21 @@ mod tests {
         assert_eq!(with(&all, 1), Origin::Simulated);
         assert_eq!(with(&["roof"], 2), Origin::Simulated);
         assert_eq!(with(&["roof"], 2 + MIXED_FOR_NS), Origin::Measured);
+    }
+
+    #[test]
+    fn broken_link_to_the_measured_nodes_leaves_no_simulation() {
+        let live = Some(Pace::Live);
+        let mut origins = Origins::default();
+        let mut with = |present: &[&str], simulated: &[&str], ns| {
+            look(&mut origins, present, simulated, live, ns)
+        };
+        with(&["roof", "ground"], &[], 0);
+        with(&["roof", "ground", "middle"], &["middle"], 1);
+        assert_eq!(with(&["middle"], &["middle"], 2), Origin::Measured);
+        // A simulation of the whole structure replaces the measured nodes.
+        let all = ["roof", "ground", "middle"];
+        assert_eq!(with(&all, &all, 3), Origin::Simulated);
     }
 
     #[test]

@@ -268,7 +268,11 @@ impl NotifyService {
         loop {
             tokio::select! {
                 _ = look.tick() => {}
-                _ = status.tick() => self.put_status().await?,
+                _ = status.tick() => {
+                    let memories = self.sources.iter_mut().filter_map(|s| s.memory.as_mut());
+                    memories.for_each(Memory::look);
+                    self.put_status().await?;
+                }
                 Some(ended) = sending.join_next() => self.ended(ended),
             }
             self.take().await?;
@@ -336,7 +340,10 @@ impl NotifyService {
     /// Saves checkpoints of all structures that have changed.
     fn keep(&mut self) {
         let now = self.clock.now();
-        for structure in self.outbox.take_changed() {
+        let is_back = |source: &&Source| source.memory.as_ref().is_some_and(Memory::is_back);
+        let again = self.sources.iter().filter(is_back);
+        let again: BTreeSet<Name> = again.map(|s| s.keys.structure().clone()).collect();
+        for structure in self.outbox.take_changed().into_iter().chain(again) {
             let of_structure = |source: &&mut Source| *source.keys.structure() == structure;
             let Some(source) = self.sources.iter_mut().find(of_structure) else {
                 continue;
@@ -450,9 +457,9 @@ impl Source {
         let period = change.period();
         let until = iso_8601(period.until_ns);
         let what = match change {
-            Change::Begins(_) => format!("maintenance until {until}: no notices are sent"),
-            Change::Ended(_, who) => format!("{who} has ended the maintenance: notices are sent"),
-            Change::Expired(_) => "the maintenance is over: notices are sent".to_owned(),
+            Change::Begins(_) => format!("maintenance until {until}; notices are muted"),
+            Change::Ended(_, who) => format!("{who} ended maintenance; notices are active"),
+            Change::Expired(_) => "maintenance ended; notices are active".to_owned(),
         };
         let subject = period.parameter.as_ref().unwrap_or(&period.structure);
         let event = Event {

@@ -479,7 +479,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_is_named_and_no_secret_is() {
+    fn error_names_an_unusable_setting_without_its_secret() {
         let good = NotifySettings {
             webhook: vec![webhook("https://hooks.example/s3cret")],
             email: vec![email()],
@@ -523,7 +523,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_shown_without_what_may_be_secret() {
+    fn address_is_shown_without_possible_secrets() {
         assert_eq!(
             shown("https://user:pw@hooks.example:8443/T0/B1?key=abc"),
             "https://hooks.example:8443/…"

@@ -197,7 +197,7 @@ mod tests {
     const BLIND: Option<(State, &str)> = Some((State::Blind, "no estimates have arrived"));
 
     #[test]
-    fn blindness_is_told_after_its_delay_and_its_end_once() {
+    fn blindness_is_reported_after_its_delay_and_its_end_once() {
         let spans = [(10, WATCHING), (100, BLIND), (100, WATCHING)];
         assert_eq!(states(&spans), [(70, State::Blind), (170, State::Watching)]);
         let short = [(10, WATCHING), (59, BLIND), (1000, WATCHING)];
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn learning_references_pages_nobody() {
+    fn learning_a_reference_is_not_reported() {
         let learning = Some((State::Blind, REFERENCE_IS_LEARNT));
         assert_eq!(states(&[(5000, learning), (100, WATCHING)]), []);
         // Blindness during the learning counts from its own start.
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn blindness_from_before_the_start_is_told_once_the_bus_was_heard() {
+    fn blindness_before_the_start_is_reported_after_listening_to_the_bus() {
         let mut sight = Sight::new(name("house"), delays(), s(1000));
         sight.take(monitoring(5000, State::Blind, 0, &["x"]), s(1001));
         assert_eq!(sight.look(Origin::Measured, s(1001), 0), None);

@@ -65,7 +65,7 @@ impl NoticeState {
         }
     }
 
-    /// Returns `true` if the state calls for somebody. The other states end such a state.
+    /// Returns `true` if the state requires action. The other states end such a state.
     pub(crate) fn is_open(self) -> bool {
         match self {
             Self::Pending

@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_the_order_asked_for() {
+    fn numbers_have_the_requested_byte_order() {
         let mut bytes = Bytes::new(&[0, 1, 0, 1], ByteOrder::Big);
         assert_eq!(bytes.u16().unwrap(), 1);
         bytes.order = ByteOrder::Little;
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_names_the_place() {
+    fn error_names_the_position_of_missing_bytes() {
         let mut bytes = Bytes::new(&[0, 1, 2], ByteOrder::Big);
         bytes.u16().unwrap();
         let fault = bytes.u32().unwrap_err();

@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn number_of_a_value_reads_back_as_that_value() {
+    fn written_number_converts_back_to_its_value() {
         let roof = ChannelColumn::new("roof")
             .with_unit("g", Quantity::Acceleration)
             .unwrap();

@@ -41,6 +41,13 @@ impl OutputFormat {
     }
 }
 
+/// Maximum ratio of the larger to the smaller rate of a conversion. The filter of such a ratio has a
+/// million weights.
+const MOST_RATIO: f64 = 1e4;
+
+/// Maximum number of samples of all channels after a conversion to a higher rate: 4 GiB.
+const MOST_SAMPLES: u64 = 1 << 29;
+
 impl RecordedFile {
     /// Converts all channels to the sampling rate `rate_hz` (Hz), on one time grid that contains
     /// the time of the earliest sample. [`crate::resample`] describes the filter.
@@ -48,21 +55,13 @@ impl RecordedFile {
     /// Channels that already have this rate to 0.1 % remain unchanged, with their own times.
     ///
     /// # Errors
-    /// The rate is not positive and finite, or a channel has no sampling rate.
+    /// The rate is not positive and finite, or a channel has no sampling rate. Also, the rates
+    /// differ by a factor above 10,000, or a higher rate would give more than 2²⁹ samples.
     pub fn resampled(self, rate_hz: f64) -> Result<Self, RecordError> {
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             return Err(RecordError::DeclaredRate { found_hz: rate_hz });
         }
-        if let Some(channel) = self
-            .channels()
-            .iter()
-            .find(|channel| channel.sampling_rate_hz().is_none())
-        {
-            return Err(RecordError::NoSamplingRate {
-                path: self.path().to_owned(),
-                channel: channel.name().to_owned(),
-            });
-        }
+        self.check_resampling(rate_hz)?;
         let grid_ns = self
             .channels()
             .iter()
@@ -75,6 +74,43 @@ impl RecordedFile {
             .map(|channel| resampled(channel, rate_hz, grid_ns))
             .collect();
         Ok(self.with_channels(channels))
+    }
+
+    /// Checks the size of the filters and of the samples at a rate of `to_hz` (Hz).
+    fn check_resampling(&self, to_hz: f64) -> Result<(), RecordError> {
+        let (mut before, mut after) = (0.0, 0.0);
+        for channel in self.channels() {
+            let (path, name) = (self.path().to_owned(), channel.name().to_owned());
+            let Some(from_hz) = channel.sampling_rate_hz() else {
+                return Err(RecordError::NoSamplingRate {
+                    path,
+                    channel: name,
+                });
+            };
+            let ratio = to_hz / from_hz;
+            if !(1.0 / MOST_RATIO..=MOST_RATIO).contains(&ratio) {
+                return Err(RecordError::Resampling {
+                    path,
+                    channel: name,
+                    from_hz,
+                    to_hz,
+                    largest: MOST_RATIO,
+                });
+            }
+            let lengths = channel.segments().iter().map(|one| one.samples().len());
+            let samples = lengths.sum::<usize>() as f64;
+            before += samples;
+            after += samples * ratio;
+        }
+        if after > before.max(MOST_SAMPLES as f64) {
+            return Err(RecordError::TooManySamples {
+                path: self.path().to_owned(),
+                samples: after,
+                to_hz,
+                most: MOST_SAMPLES,
+            });
+        }
+        Ok(())
     }
 
     /// Writes the recording as CSV or MCAP, depending on the extension `.csv` or `.mcap`.
@@ -267,6 +303,34 @@ mod tests {
         );
     }
 
+    /// A rate of 1e12 Hz made the allocation of 159 TB abort the program.
+    #[test]
+    fn rate_that_needs_huge_filters_or_results_is_refused() {
+        let told = |rate_hz: f64, length: usize| {
+            let channel = |name: &str| {
+                let segment = Segment::new(0, vec![1.0; length]);
+                RecordedChannel::new(name, Some(100.0), vec![segment])
+            };
+            let channels = vec![channel("a"), channel("b")];
+            let file = RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, channels);
+            file.resampled(rate_hz).map_err(|error| error.to_string())
+        };
+        for rate_hz in [1e12, 1e-9] {
+            let expected = format!(
+                "hall.v2: channel `a` cannot be resampled from 100 Hz to {rate_hz} Hz: the larger \
+                 rate must be at most 10000 times the smaller"
+            );
+            assert_eq!(told(rate_hz, 3), Err(expected));
+        }
+        let expected = "hall.v2: has 6.000e8 samples at 1000000 Hz, must have at most 536870912; \
+                        use a lower rate";
+        assert_eq!(told(1e6, 30_000), Err(expected.to_owned()));
+        assert_eq!(
+            told(1e6, 3).unwrap().channels()[0].sampling_rate_hz(),
+            Some(1e6)
+        );
+    }
+
     #[test]
     fn known_units_become_si() {
         let folder = tempfile::tempdir().unwrap();
@@ -288,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn unit_in_a_name_is_that_of_the_values_that_are_written() {
+    fn unit_in_a_column_name_is_the_unit_of_the_written_values() {
         let folder = tempfile::tempdir().unwrap();
         let table = folder.path().join("table.csv");
         std::fs::write(&table, "time,roof [g],mood [1-5]\n0,1,3\n0.01,2,4\n").unwrap();
@@ -322,7 +386,7 @@ mod tests {
 
     /// A table without units would not distinguish a velocity from a voltage.
     #[test]
-    fn units_are_stated_and_read_again_in_a_table() {
+    fn units_in_a_table_are_written_and_read_back() {
         let folder = tempfile::tempdir().unwrap();
         let units = ["cm/sec2", "cm/sec", "cm", "Pa", "Volts", "a,b", ""];
         let channel = |(number, unit): (usize, &&str)| {
@@ -353,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_is_found_without_the_unit_behind_its_name() {
+    fn column_is_found_without_the_unit_after_its_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
         std::fs::write(
@@ -391,7 +455,7 @@ mod tests {
     }
 
     #[test]
-    fn other_ends_of_names_are_refused() {
+    fn other_file_extensions_are_rejected() {
         let told = file().write(Path::new("out.xlsx")).unwrap_err().to_string();
         assert_eq!(
             told,

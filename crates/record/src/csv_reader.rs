@@ -2,7 +2,6 @@
 
 use std::{
     borrow::Cow,
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
@@ -14,6 +13,8 @@ use crate::{
     column_mapping::places_of,
     formats::table::unit_of,
     record_time::{TimeForm, seconds_text},
+    row_limit::{MOST_COLUMNS, MOST_ROW_BYTES, RowLimit},
+    source::open_file,
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
 };
 
@@ -25,10 +26,11 @@ use crate::{
 /// commas are not the separator.
 ///
 /// An empty field, or `NaN`, is a missing sample. Columns that the mapping does not name are
-/// ignored.
+/// ignored. A row has at most 1 MiB, and a table at most 10,000 columns.
 pub struct CsvReader {
     path: PathBuf,
     csv: csv::Reader<Box<dyn Read + Send>>,
+    limit: RowLimit,
     record: ByteRecord,
     layout: TableLayout,
     /// Whether `record` still contains the first row, because the table has no header.
@@ -55,11 +57,7 @@ impl CsvReader {
     /// # Errors
     /// The file cannot be opened, or columns of the mapping are missing or occur more than once.
     pub fn open(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
-        let file = File::open(path).map_err(|source| RecordError::Open {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::new(Box::new(file), path, mapping)
+        Self::new(Box::new(open_file(path)?), path, mapping)
     }
 
     /// Reads the header from any input. `path` identifies the input in errors.
@@ -89,8 +87,9 @@ impl CsvReader {
             TimeSource::Counted { .. } => mapping.channels().first().map(ChannelColumn::column),
         };
         let layout = TableLayout::find(&head, wanted);
-        let rest = std::io::Cursor::new(head.split_off(layout.bytes_before))
-            .chain(input)
+        let limit = RowLimit::default();
+        let rest = limit
+            .of(std::io::Cursor::new(head.split_off(layout.bytes_before)).chain(input))
             .chain(END_OF_LAST_LINE);
         let input: Box<dyn Read + Send> = match layout.separator {
             Separator::Byte(_) => Box::new(rest),
@@ -108,12 +107,18 @@ impl CsvReader {
             .buffer_capacity(READ_BUFFER_BYTES)
             .from_reader(input);
         let mut record = ByteRecord::new();
+        let line = 1 + layout.lines_before;
         csv.read_byte_record(&mut record)
-            .map_err(|source| RecordError::Read {
-                path: path.clone(),
-                line: 1 + layout.lines_before,
-                source,
-            })?;
+            .map_err(|source| unread_row(&path, line, &limit, source))?;
+        limit.complete_row();
+        if record.len() > MOST_COLUMNS {
+            return Err(RecordError::TooManyColumns {
+                path,
+                line,
+                found: record.len(),
+                most: MOST_COLUMNS,
+            });
+        }
         let header: Vec<String> = match layout.has_header {
             true => record
                 .iter()
@@ -124,10 +129,11 @@ impl CsvReader {
                 .collect(),
         };
 
-        let (time, columns) = locate_columns(&path, 1 + layout.lines_before, &header, mapping)?;
+        let (time, columns) = locate_columns(&path, line, &header, mapping)?;
         Ok(Self {
             path,
             csv,
+            limit,
             record,
             has_row: !layout.has_header,
             layout,
@@ -157,13 +163,14 @@ impl CsvReader {
                 .csv
                 .read_byte_record(&mut self.record)
                 .map_err(|source| {
-                    let line = before + self.csv.position().line();
-                    RecordError::Read {
-                        path: self.path.clone(),
-                        line,
-                        source,
-                    }
+                    let position = match self.limit.is_exceeded() {
+                        true => self.record.position(),
+                        false => None,
+                    };
+                    let line = position.unwrap_or(self.csv.position()).line();
+                    unread_row(&self.path, before + line, &self.limit, source)
                 })?;
+            self.limit.complete_row();
             if !is_record {
                 return Ok(None);
             }
@@ -272,6 +279,19 @@ struct MappedColumn {
 const END_OF_LAST_LINE: &[u8] = b"\n";
 /// Size of the read buffer: some hundred rows per system call.
 const READ_BUFFER_BYTES: usize = 64 * 1024;
+
+/// Returns the error of a row that could not be read, or is too long.
+fn unread_row(path: &Path, line: u64, limit: &RowLimit, source: csv::Error) -> RecordError {
+    let path = path.to_owned();
+    match limit.is_exceeded() {
+        true => RecordError::LongRow {
+            path,
+            line,
+            most: MOST_ROW_BYTES,
+        },
+        false => RecordError::Read { path, line, source },
+    }
+}
 
 /// Finds the columns of the time and the channels in the header.
 fn locate_columns(

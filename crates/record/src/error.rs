@@ -15,6 +15,12 @@ pub enum RecordError {
         /// The error of the operating system.
         source: std::io::Error,
     },
+    /// The path leads to a pipe, a device or a socket.
+    #[error("{}: is a pipe, a device or a socket, must be a regular file or a folder", path.display())]
+    NotAFile {
+        /// The path.
+        path: PathBuf,
+    },
     /// Neither the content nor the name of a file matches a known format.
     #[error("{}: unknown format, must be one of {}", path.display(), allowed.join(", "))]
     UnknownFormat {
@@ -94,10 +100,10 @@ pub enum RecordError {
         /// The first channel.
         first: String,
     },
-    /// The ratio of two sampling rates is not suitable for a filter.
+    /// The ratio of two sampling rates is too large for a filter.
     #[error(
-        "{}: channel `{channel}` cannot be resampled from {from_hz} Hz to {to_hz} Hz: their ratio \
-         must be a ratio of whole numbers up to {largest}",
+        "{}: channel `{channel}` cannot be resampled from {from_hz} Hz to {to_hz} Hz: the larger \
+         rate must be at most {largest} times the smaller",
         path.display()
     )]
     Resampling {
@@ -109,8 +115,23 @@ pub enum RecordError {
         from_hz: f64,
         /// The requested sampling rate, in Hz.
         to_hz: f64,
-        /// Largest integer allowed in the ratio.
-        largest: u64,
+        /// Largest allowed ratio.
+        largest: f64,
+    },
+    /// A recording would be too large after resampling.
+    #[error(
+        "{}: has {samples:.3e} samples at {to_hz} Hz, must have at most {most}; use a lower rate",
+        path.display()
+    )]
+    TooManySamples {
+        /// The file.
+        path: PathBuf,
+        /// Number of samples of all channels at the requested rate.
+        samples: f64,
+        /// The requested sampling rate, in Hz.
+        to_hz: f64,
+        /// Maximum number of samples.
+        most: u64,
     },
     /// A declared sampling rate is not positive and finite.
     #[error("sampling rate is {found_hz} Hz, must be positive and finite")]
@@ -222,6 +243,28 @@ pub enum RecordError {
         missing: Vec<String>,
         /// The header as found.
         found: Vec<String>,
+    },
+    /// A row of a table does not end, as in a file without line breaks.
+    #[error("{}:{line}: row has no end within {most} bytes, must have at most {most} bytes", path.display())]
+    LongRow {
+        /// The file.
+        path: PathBuf,
+        /// Line in which the row begins.
+        line: u64,
+        /// Maximum length of a row, in bytes.
+        most: usize,
+    },
+    /// A table has too many columns.
+    #[error("{}:{line}: has {found} columns, must have at most {most}", path.display())]
+    TooManyColumns {
+        /// The file.
+        path: PathBuf,
+        /// Line of the header, or of the first row without a header.
+        line: u64,
+        /// Number of columns found.
+        found: usize,
+        /// Maximum number of columns.
+        most: usize,
     },
     /// A required column occurs more than once in the header.
     #[error("{}:{line}: column `{column}` occurs more than once, must occur once", path.display())]

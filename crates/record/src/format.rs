@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn content_comes_before_the_name() {
+    fn content_precedes_the_name_in_format_detection() {
         for (head, name, expected) in [
             (&b"TDSm\x0e\0\0\0"[..], "x.csv", Some(Format::Tdms)),
             (b"MS\x03\0", "x.dat", Some(Format::MiniSeed)),

@@ -45,6 +45,8 @@
 //! last, and frames of an epoch that has ended.
 
 use std::borrow::Cow;
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -81,6 +83,9 @@ use crate::RecordError;
 /// second, and closing a segment reads all of its chunks.
 const MOST_CHUNKS: u32 = 1 << 12;
 const NANOSECONDS: u64 = 1_000_000_000;
+/// Permissions of a new folder and of its files. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
+const FILE_MODE: u32 = 0o600;
 
 /// Length and retention of segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,8 +96,8 @@ pub struct LogSettings {
     pub segment_s: u64,
     /// Maximum total size of all segments, in bytes. The oldest segments beyond it are deleted.
     pub keep_bytes: u64,
-    /// Maximum age of frames, in s, relative to the newest frame. Segments that contain only older
-    /// frames are deleted.
+    /// Maximum age of frames, in s, relative to the newest frame. Segments are deleted if they
+    /// contain only older frames, and if their files have not been written for as long.
     pub keep_s: u64,
 }
 
@@ -173,7 +178,11 @@ impl FrameLog {
         settings: LogSettings,
     ) -> Result<(Self, OpenedLog), RecordError> {
         let is_new = !folder.exists();
-        std::fs::create_dir_all(folder).map_err(|source| RecordError::WriteLog {
+        let created = DirBuilder::new()
+            .recursive(true)
+            .mode(FOLDER_MODE)
+            .create(folder);
+        created.map_err(|source| RecordError::WriteLog {
             path: folder.to_owned(),
             source,
         })?;
@@ -277,6 +286,15 @@ impl FrameLog {
         }
         let _ = self.delete_beyond_size();
         Ok(())
+    }
+
+    /// Returns `true` if the files that are being written are no longer at their paths: somebody has
+    /// moved or deleted them, or their disk is away. What is appended then is lost to the folder.
+    #[must_use]
+    pub fn is_lost(&self) -> bool {
+        let is_there =
+            self.note.is_in_place() && self.segment.as_ref().is_none_or(OpenSegment::is_in_place);
+        !is_there
     }
 
     /// Saves a mark on disk that shows after a crash whether the log contains all published frames.
@@ -422,22 +440,35 @@ impl FrameLog {
         }
     }
 
-    /// Deletes the oldest segments whose frames are all too old. The start of the next segment
-    /// marks the end of a segment.
+    /// Deletes the oldest segments that are too old.
+    ///
+    /// The clock of this machine must say so, as the file system recorded it, and the times of the
+    /// frames must not contradict it. A jump of either clock then deletes nothing. The start of the
+    /// next segment marks the end of a segment. Frames later than `newest_ns` have a wrong time.
     fn delete_older_than(&self, newest_ns: i64) -> Result<(), RecordError> {
         let keep_ns =
             i64::try_from(self.settings.keep_s.saturating_mul(NANOSECONDS)).unwrap_or(i64::MAX);
         let first_kept_ns = newest_ns.saturating_sub(keep_ns);
         let names = self.folder.names();
-        let mut over = 0;
-        for (place, name) in names.iter().enumerate().skip(1) {
-            match opening::start_ns(&self.folder, *name) {
-                Some(start_ns) if start_ns < first_kept_ns => over = place,
-                Some(_) => break,
-                // This segment cannot be read, so the next one decides.
-                None => {}
+        let Some(latest) = names.last().and_then(|name| self.folder.written_at(*name)) else {
+            return Ok(());
+        };
+        let is_written_long_ago = |name: SegmentName| {
+            let age = self
+                .folder
+                .written_at(name)
+                .and_then(|at| latest.duration_since(at).ok());
+            age.is_some_and(|age| age.as_secs() >= self.settings.keep_s)
+        };
+        let is_recent = |start_ns: i64| (first_kept_ns..=newest_ns).contains(&start_ns);
+        let is_too_old = |pair: &&[SegmentName]| match pair {
+            [name, next] => {
+                is_written_long_ago(*name)
+                    && !opening::start_ns(&self.folder, *next).is_some_and(is_recent)
             }
-        }
+            _ => false,
+        };
+        let over = names.windows(2).take_while(is_too_old).count();
         names
             .into_iter()
             .take(over)

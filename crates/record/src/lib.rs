@@ -62,6 +62,8 @@ pub mod recorded_rows;
 pub mod recording;
 pub mod recording_summary;
 pub mod resample;
+mod row_limit;
+mod source;
 pub mod spectrum;
 mod table_layout;
 mod unpacked;

@@ -92,7 +92,7 @@ mod tests {
 
     // A changed bit in the length of a string must not cause an allocation of a gigabyte.
     #[test]
-    fn a_record_is_read_and_no_changed_bit_has_more_reserved_than_it_has() {
+    fn changed_bits_of_a_record_do_not_increase_its_allocation() {
         for (opcode, body) in records() {
             assert!(parse_record(opcode, &body).is_ok(), "record {opcode}");
             for bit in 0..8 * body.len() {

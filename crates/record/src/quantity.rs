@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn units_as_files_write_them_are_known() {
+    fn spellings_of_units_in_files_are_known() {
         for unit in [
             "cm/sec2",
             "CM/SEC/SEC",

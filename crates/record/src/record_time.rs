@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_smaller_units_are_read_to_the_digit() {
+    fn times_in_smaller_units_are_read_exactly() {
         assert_eq!(
             TimeForm::Seconds.parse_ns("991011697", TimeUnit::Microseconds),
             Some(991_011_697_000)
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn no_number_gives_no_seconds() {
+    fn text_without_a_number_gives_no_time() {
         for text in [
             "",
             "-",

@@ -1,17 +1,16 @@
 //! Reads the channels of a file of any format.
 
-use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{Cursor, Read};
+mod frame_log_folder;
+mod members;
+
+use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::column_mapping::places_of;
 use crate::fault::Fault;
-use crate::formats::frames::FrameRows;
 use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, table, tdms, uff58};
-use crate::frame_log;
-use crate::table_layout::HEAD_BYTES;
-use crate::unpacked::UnpackingBudget;
+use crate::source::Source;
+use crate::unpacked::{Packed, Refusal, UnpackingBudget};
 use crate::{ColumnMapping, Format, RecordError, RecordedChannel, TimeUnit};
 
 /// Properties that a file may not state itself.
@@ -36,8 +35,6 @@ pub struct RecordedFile {
 
 /// Maximum nesting depth of archives.
 const DEEPEST: usize = 3;
-/// Maximum number of files in an archive or folder.
-const MOST_MEMBERS: usize = 10_000;
 
 /// The content of a file.
 struct Contents {
@@ -60,9 +57,9 @@ impl RecordedFile {
             return Err(RecordError::DeclaredRate { found_hz });
         }
         let contents = match path.is_dir() {
-            true if has_frame_log(path)? => frame_log_folder(path)?,
-            true => Reading::of(options).members(folder_members(path)?, path, Format::Folder, 0)?,
-            false => Reading::of(options).bytes(file_bytes(path)?, path, 0)?,
+            true if frame_log_folder::is_there(path)? => frame_log_folder::read(path)?,
+            true => Reading::of(options).folder(path)?,
+            false => Reading::of(options).source(Source::open(path)?, &Place::of(path))?,
         };
         let declared = |channel: RecordedChannel| match options.sampling_rate_hz {
             Some(rate_hz) => channel.with_declared_rate(rate_hz),
@@ -140,29 +137,70 @@ impl RecordedFile {
     }
 }
 
-fn file_bytes(path: &Path) -> Result<Vec<u8>, RecordError> {
-    let mut file = File::open(path).map_err(|source| RecordError::Open {
-        path: path.to_owned(),
-        source,
-    })?;
-    let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes)
-        .map_err(|source| RecordError::ReadFile {
-            path: path.to_owned(),
-            source,
-        })?;
-    Ok(bytes)
-}
-
-fn head_of(bytes: &[u8]) -> &[u8] {
-    &bytes[..bytes.len().min(HEAD_BYTES as usize)]
-}
-
 fn fault(path: &Path, format: Format, fault: Fault) -> RecordError {
     RecordError::Format {
         path: path.to_owned(),
         format: format.name(),
         fault: Box::new(fault),
+    }
+}
+
+/// The position of a file: its path, with the names of archives around it, and their number.
+#[derive(Debug, Clone)]
+struct Place {
+    path: PathBuf,
+    depth: usize,
+    /// The innermost archive around the file.
+    archive: Option<(PathBuf, Format)>,
+}
+
+impl Place {
+    fn of(path: &Path) -> Self {
+        Self {
+            path: path.to_owned(),
+            depth: 0,
+            archive: None,
+        }
+    }
+
+    /// Returns the position `path` of a file in an archive at this position.
+    fn inside(&self, format: Format, path: PathBuf) -> Self {
+        Self {
+            path,
+            depth: self.depth + 1,
+            archive: Some((self.path.clone(), format)),
+        }
+    }
+
+    /// Returns the error of reading a table. Damaged compressed data have no line.
+    fn unreadable_table(&self, error: RecordError) -> RecordError {
+        match error {
+            RecordError::Read { source, .. } if self.archive.is_some() => {
+                match source.into_kind() {
+                    csv::ErrorKind::Io(error) => self.unreadable(error),
+                    kind => self.unreadable(io::Error::other(format!("{kind:?}"))),
+                }
+            }
+            error => error,
+        }
+    }
+
+    /// Returns the error of reading the file.
+    fn unreadable(&self, source: io::Error) -> RecordError {
+        match &self.archive {
+            Some((path, Format::Gzip)) => {
+                let refusal = Refusal::of(&source, "gzip data");
+                fault(path, Format::Gzip, refusal.of_file())
+            }
+            Some((_, format)) => {
+                let refusal = Refusal::of(&source, "whole");
+                fault(&self.path, *format, refusal.of_file())
+            }
+            None => RecordError::ReadFile {
+                path: self.path.clone(),
+                source,
+            },
+        }
     }
 }
 
@@ -176,31 +214,79 @@ impl<'a> Reading<'a> {
     fn of(options: &'a ReadOptions) -> Self {
         Self {
             options,
-            budget: UnpackingBudget::new(),
+            budget: UnpackingBudget::in_memory(),
         }
     }
 
-    /// Reads the content of a file.
-    fn bytes(
-        &mut self,
-        bytes: Vec<u8>,
-        path: &Path,
-        depth: usize,
-    ) -> Result<Contents, RecordError> {
-        let Some(format) = Format::of(head_of(&bytes), path) else {
+    /// Reads the content of a file. Only tables are read row by row.
+    fn source(&self, source: Source, place: &Place) -> Result<Contents, RecordError> {
+        let path = place.path.as_path();
+        let Some(format) = Format::of(source.head(), path) else {
             return Err(RecordError::UnknownFormat {
                 path: path.to_owned(),
                 allowed: Format::names(),
             });
         };
-        let refused = |source: Fault| fault(path, format, source);
+        match format {
+            Format::Table => Ok(Contents {
+                format,
+                channels: table::read(source, path, self.options)
+                    .map_err(|error| place.unreadable_table(error))?,
+                remarks: Vec::new(),
+            }),
+            Format::Gzip | Format::Zip if place.depth >= DEEPEST => Err(fault(
+                path,
+                format,
+                Fault::of_file(
+                    "depth of archives in archives",
+                    place.depth + 1,
+                    format!("at most {DEEPEST}"),
+                ),
+            )),
+            Format::Gzip => {
+                let inner = place.inside(format, path.with_extension(""));
+                let packed = self.packed(source.into_reader(), place);
+                let decoder = flate2::read::MultiGzDecoder::new(packed);
+                let unpacked = Source::new(self.budget.unpacked(decoder));
+                self.source(unpacked.map_err(|error| inner.unreadable(error))?, &inner)
+            }
+            _ => {
+                let bytes = source
+                    .into_bytes()
+                    .map_err(|error| place.unreadable(error))?;
+                self.bytes(bytes, format, place)
+            }
+        }
+    }
+
+    /// Returns a reader of compressed data. Only the outermost archive is as large as the data on
+    /// disk, so that only its bytes count.
+    fn packed<R>(&self, input: R, place: &Place) -> Packed<R> {
+        match place.archive {
+            None => self.budget.packed(input),
+            Some(_) => UnpackingBudget::in_memory().packed(input),
+        }
+    }
+
+    /// Reads a file of a format that requires the whole file.
+    fn bytes(
+        &self,
+        bytes: Vec<u8>,
+        format: Format,
+        place: &Place,
+    ) -> Result<Contents, RecordError> {
+        let refused = |source: Fault| fault(&place.path, format, source);
         let mut remarks = Vec::new();
         let channels = match format {
-            Format::Table => table::read(bytes, path, self.options)?,
             Format::MiniSeed => mini_seed::read(&bytes).map_err(refused)?,
             Format::Cosmos => cosmos::read(&bytes).map_err(refused)?,
             Format::Csmip => csmip::read(&bytes).map_err(refused)?,
-            Format::Matlab => matlab::read(&bytes).map_err(refused)?,
+            Format::Matlab => {
+                if place.archive.is_none() {
+                    self.budget.count_packed(bytes.len() as u64);
+                }
+                matlab::read(&bytes, &self.budget).map_err(refused)?
+            }
             Format::Uff58 => uff58::read(&bytes).map_err(refused)?,
             Format::At2 => at2::read(&bytes).map_err(refused)?,
             Format::Smc => smc::read(&bytes).map_err(refused)?,
@@ -210,28 +296,9 @@ impl<'a> Reading<'a> {
                 remarks = told;
                 channels
             }
-            Format::Gzip | Format::Zip if depth >= DEEPEST => {
-                return Err(refused(Fault::of_file(
-                    "depth of archives in archives",
-                    depth + 1,
-                    format!("at most {DEEPEST}"),
-                )));
-            }
-            Format::Gzip => {
-                let inner = self
-                    .budget
-                    .unpack(flate2::read::MultiGzDecoder::new(bytes.as_slice()))
-                    .map_err(|found| {
-                        refused(Fault::of_file("compressed content", found, "gzip data"))
-                    })?;
-                return self.bytes(inner, &path.with_extension(""), depth + 1);
-            }
-            Format::Zip => {
-                let members = zip_members(&bytes, path, &mut self.budget)?;
-                return self.members(members, path, format, depth);
-            }
-            // A path can be a folder, but bytes cannot.
-            Format::Folder => Vec::new(),
+            Format::Zip => return self.zip(bytes, place),
+            // Tables and gzip are streams. A path can be a folder, but bytes cannot.
+            Format::Table | Format::Gzip | Format::Folder => Vec::new(),
         };
         Ok(Contents {
             format,
@@ -239,194 +306,6 @@ impl<'a> Reading<'a> {
             remarks,
         })
     }
-
-    /// Reads all members that are recordings. If a channel name is not unique, the name of its file
-    /// is prepended.
-    fn members(
-        &mut self,
-        members: Members,
-        path: &Path,
-        format: Format,
-        depth: usize,
-    ) -> Result<Contents, RecordError> {
-        let mut channels: Vec<(String, RecordedChannel)> = Vec::new();
-        let (mut remarks, mut left_out) = (Vec::new(), Vec::new());
-        for (name, bytes) in members {
-            // Only the content counts, because an archive may also contain readme files.
-            if Format::of_content(head_of(&bytes)).is_none() {
-                left_out.push(name);
-                continue;
-            }
-            let contents = self.bytes(bytes, &path.join(&name), depth + 1)?;
-            let stem = Path::new(&name)
-                .with_extension("")
-                .to_string_lossy()
-                .into_owned();
-            remarks.extend(
-                contents
-                    .remarks
-                    .into_iter()
-                    .map(|remark| format!("{name}: {remark}")),
-            );
-            channels.extend(
-                contents
-                    .channels
-                    .into_iter()
-                    .map(|channel| (stem.clone(), channel)),
-            );
-        }
-        if channels.is_empty() {
-            let found = if left_out.is_empty() {
-                "no file".to_owned()
-            } else {
-                left_out.join(", ")
-            };
-            return Err(fault(
-                path,
-                format,
-                Fault::of_file("content", found, "at least one recording of a known format"),
-            ));
-        }
-        if !left_out.is_empty() {
-            remarks.push(format!("skipped, unknown format: {}", left_out.join(", ")));
-        }
-        let mut times: BTreeMap<String, usize> = BTreeMap::new();
-        for (_, channel) in &channels {
-            *times.entry(channel.name().to_owned()).or_default() += 1;
-        }
-        let unique = |(stem, channel): (String, RecordedChannel)| match times.get(channel.name()) {
-            Some(2..) => {
-                let name = format!("{stem}/{}", channel.name());
-                channel.with_name(name)
-            }
-            _ => channel,
-        };
-        Ok(Contents {
-            format,
-            channels: channels.into_iter().map(unique).collect(),
-            remarks,
-        })
-    }
-}
-
-/// The files of an archive or folder: name and content.
-type Members = Vec<(String, Vec<u8>)>;
-
-fn zip_members(
-    bytes: &[u8],
-    path: &Path,
-    budget: &mut UnpackingBudget,
-) -> Result<Members, RecordError> {
-    let refused = |what: String, error: zip::result::ZipError| {
-        fault(
-            path,
-            Format::Zip,
-            Fault::of_file(what, format!("damaged ({error})"), "whole"),
-        )
-    };
-    let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
-        .map_err(|error| refused("archive".to_owned(), error))?;
-    if archive.len() > MOST_MEMBERS {
-        let found = Fault::of_file(
-            "number of files",
-            archive.len(),
-            format!("at most {MOST_MEMBERS}"),
-        );
-        return Err(fault(path, Format::Zip, found));
-    }
-    let mut members = Vec::new();
-    for index in 0..archive.len() {
-        let member = archive
-            .by_index(index)
-            .map_err(|error| refused(format!("file {}", index + 1), error))?;
-        if member.is_dir() {
-            continue;
-        }
-        let name = member
-            .name()
-            .map_err(|error| refused(format!("name of file {}", index + 1), error))?
-            .into_owned();
-        let content = budget.unpack(member).map_err(|found| {
-            fault(
-                &path.join(&name),
-                Format::Zip,
-                Fault::of_file("compressed content", found, "whole"),
-            )
-        })?;
-        members.push((name, content));
-    }
-    Ok(members)
-}
-
-/// Returns the files of a folder, sorted by name.
-fn folder_files(path: &Path) -> Result<Vec<PathBuf>, RecordError> {
-    let refused = |source| RecordError::ReadFile {
-        path: path.to_owned(),
-        source,
-    };
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(path).map_err(refused)? {
-        let file = entry.map_err(refused)?.path();
-        if file.is_file() {
-            files.push(file);
-        }
-        if files.len() > MOST_MEMBERS {
-            let found =
-                Fault::of_file("number of files", "more", format!("at most {MOST_MEMBERS}"));
-            return Err(fault(path, Format::Folder, found));
-        }
-    }
-    files.sort_unstable();
-    Ok(files)
-}
-
-fn name_of(file: &Path) -> String {
-    file.file_name()
-        .map(|name| name.to_string_lossy().into_owned())
-        .unwrap_or_default()
-}
-
-fn folder_members(path: &Path) -> Result<Members, RecordError> {
-    folder_files(path)?
-        .into_iter()
-        .map(|file| Ok((name_of(&file), file_bytes(&file)?)))
-        .collect()
-}
-
-/// Returns `true` if a folder contains a frame log.
-fn has_frame_log(path: &Path) -> Result<bool, RecordError> {
-    Ok(folder_files(path)?
-        .iter()
-        .any(|file| frame_log::is_segment(&name_of(file))))
-}
-
-/// Reads all segments of a frame log as one recording.
-fn frame_log_folder(path: &Path) -> Result<Contents, RecordError> {
-    let mut frames = FrameRows::default();
-    let (mut remarks, mut left_out) = (Vec::new(), Vec::new());
-    for file in folder_files(path)? {
-        let name = name_of(&file);
-        if frame_log::is_segment(&name) {
-            let read = mcap::read_frames(&file_bytes(&file)?, &mut frames);
-            let told = read.map_err(|source| fault(&file, Format::Mcap, source))?;
-            remarks.extend(told.into_iter().map(|remark| format!("{name}: {remark}")));
-        } else if !frame_log::is_lock(&name) {
-            left_out.push(name);
-        }
-    }
-    if !left_out.is_empty() {
-        remarks.push(format!(
-            "skipped, not segments of the frame log: {}",
-            left_out.join(", ")
-        ));
-    }
-    let (channels, told) = frames.channels();
-    remarks.extend(told);
-    Ok(Contents {
-        format: Format::Folder,
-        channels,
-        remarks,
-    })
 }
 
 #[cfg(test)]

@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn unit_of_the_file_is_used_where_the_mapping_asks_for_it() {
+    fn unit_of_the_file_is_used_if_the_mapping_requests_it() {
         let in_gal = channel("a", 100.0, 0, &[250.0]).with_unit("cm/sec2");
         let column = || {
             ChannelColumn::new("roof")

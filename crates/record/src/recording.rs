@@ -1,10 +1,13 @@
 //! Reads a file of any format, determines its sampling rate and removes its offsets.
 
-use std::{collections::VecDeque, fs::File, io::Read, path::Path};
+use std::{collections::VecDeque, path::Path};
+
+use flate2::read::MultiGzDecoder;
 
 use crate::{
     ColumnMapping, CsvReader, Format, ReadOptions, RecordError, RecordReader, RecordedFile,
-    RecordedRows, Row, TimeSource, rate::rate_from_times, table_layout::HEAD_BYTES,
+    RecordedRows, Row, TimeSource, rate::rate_from_times, source::Source,
+    unpacked::UnpackingBudget,
 };
 
 /// Policy for the constant part of each channel, such as the tilt of an accelerometer.
@@ -192,29 +195,20 @@ fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader
     if path.is_dir() {
         return Ok(None);
     }
-    let open = || {
-        File::open(path).map_err(|source| RecordError::Open {
-            path: path.to_owned(),
-            source,
-        })
-    };
-    let head = |input: &mut dyn Read| {
-        let mut head = Vec::new();
-        input.take(HEAD_BYTES).read_to_end(&mut head).map(|_| head)
-    };
-    let refused = |source| RecordError::ReadFile {
-        path: path.to_owned(),
-        source,
-    };
-    match Format::of(&head(&mut open()?).map_err(refused)?, path) {
-        Some(Format::Table) => CsvReader::open(path, mapping).map(Some),
+    let file = Source::open(path)?;
+    let reader = |source: Source| CsvReader::new(source.into_reader(), path, mapping).map(Some);
+    match Format::of(file.head(), path) {
+        Some(Format::Table) => reader(file),
         Some(Format::Gzip) => {
-            let inner = path.with_extension("");
-            let unpacked = || open().map(flate2::read::MultiGzDecoder::new);
-            match Format::of(&head(&mut unpacked()?).map_err(refused)?, &inner) {
-                Some(Format::Table) => {
-                    CsvReader::new(Box::new(unpacked()?), path, mapping).map(Some)
-                }
+            let budget = UnpackingBudget::streamed();
+            let decoder = MultiGzDecoder::new(budget.packed(file.into_reader()));
+            let unpacked = Source::new(budget.unpacked(decoder));
+            let unpacked = unpacked.map_err(|source| RecordError::ReadFile {
+                path: path.to_owned(),
+                source,
+            })?;
+            match Format::of(unpacked.head(), &path.with_extension("")) {
+                Some(Format::Table) => reader(unpacked),
                 Some(_) | None => Ok(None),
             }
         }

@@ -330,7 +330,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn channel_is_told_with_unit_span_gap_and_peak() {
+    fn summary_of_a_channel_has_unit_span_gap_and_peak() {
         let samples = vec![1.0, -4.0, f64::NAN, 2.0, 1.0];
         let channel = RecordedChannel::new(
             "roof",
@@ -356,7 +356,7 @@ mod tests {
     /// At 20 kHz, three decimals would show "after 0.001 s" for some twenty samples around the
     /// peak.
     #[test]
-    fn times_tell_one_sample_from_the_next() {
+    fn times_have_enough_digits_for_the_sampling_rate() {
         let mut samples = vec![0.0; 100];
         samples[27] = 5.0;
         let channel = |rate_hz| {

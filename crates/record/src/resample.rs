@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn sine_in_the_pass_band_is_kept_at_its_times() {
+    fn sine_in_the_pass_band_keeps_amplitude_and_phase() {
         // Integer ratios and an irregular one, up and down. The pass band ends at 0.40 of the lower
         // rate.
         for (from_hz, to_hz) in [
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_would_alias_is_down_by_80_db() {
+    fn aliases_are_attenuated_to_less_than_1_5e_4() {
         for (from_hz, to_hz, frequency_hz) in [
             (200.0, 100.0, 51.0),
             (200.0, 100.0, 90.0),
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_stays_to_its_ends() {
+    fn constant_is_unchanged_up_to_its_ends() {
         let channel = RecordedChannel::new("a", Some(200.0), vec![Segment::new(0, vec![3.5; 400])]);
         let out = resampled(&channel, 90.0, 0);
         assert!(out.samples().all(|sample| (sample - 3.5).abs() < 1e-12));
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn gap_stays_a_gap() {
+    fn gap_remains_a_gap() {
         let mut samples = vec![1.0; 400];
         samples[200..240].fill(f64::NAN);
         let channel = RecordedChannel::new("a", Some(200.0), vec![Segment::new(0, samples)]);
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn output_lies_on_the_grid_that_is_asked_for() {
+    fn output_is_on_the_requested_grid() {
         let channel = RecordedChannel::new(
             "a",
             Some(200.0),
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn channel_of_the_same_rate_is_left_alone() {
+    fn channel_of_the_same_rate_is_unchanged() {
         let channel = sine(100.0, 45.0, 2.0);
         assert_eq!(resampled(&channel, 100.05, 0), channel);
     }

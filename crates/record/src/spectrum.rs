@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn peaks_stand_at_the_frequencies_of_the_sines() {
+    fn peaks_are_at_the_frequencies_of_the_sines() {
         let peaks = Spectrum::of(&channel(two_sines())).unwrap().peaks();
         let frequencies: Vec<f64> = peaks.iter().map(|peak| peak.frequency_hz).collect();
         assert_eq!(frequencies.len(), 2, "{frequencies:?}");
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn gap_does_not_show() {
+    fn gap_adds_no_peaks() {
         let mut samples = two_sines();
         samples[10_000..10_300].fill(f64::NAN);
         let peaks = Spectrum::of(&channel(samples)).unwrap().peaks();
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn short_record_has_none() {
+    fn short_record_has_no_spectrum() {
         assert_eq!(Spectrum::of(&channel(vec![1.0; 63])), None);
         assert!(
             Spectrum::of(&channel(vec![1.0; 64]))

@@ -268,7 +268,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn separators_are_told_from_decimal_commas() {
+    fn separators_are_distinguished_from_decimal_commas() {
         for (line, separator) in [
             ("time,a", Separator::Byte(b',')),
             ("time;a, b", Separator::Byte(b';')),
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn header_is_found_behind_what_a_recorder_writes() {
+    fn header_is_found_after_the_preamble_of_a_recorder() {
         let head = "sep=,\nDeviceTag:,Xsens DOT\nStartTime: ,2025-03-06\n\u{e4} Ltd\n\nPacket,Time_us,Acc\n0,10,0.5\n1,20,0.6\n";
         for wanted in [None, Some("Time_us")] {
             let layout = TableLayout::find(head.as_bytes(), wanted);
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn text_is_no_table() {
+    fn prose_is_not_a_table() {
         assert!(!TableLayout::is_table(
             b"Channels 17, 18 and 20\nhave been reprocessed, all of them\n"
         ));
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn blanks_become_one_wherever_the_input_is_cut() {
+    fn blanks_are_merged_for_any_size_of_the_pieces() {
         let text = b"  a   b\t c  \r\n   1  2   3";
         for piece in 1..8 {
             let mut pieces: Box<dyn Read> = Box::new(std::io::empty());

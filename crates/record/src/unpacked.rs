@@ -1,36 +1,195 @@
 //! Decompresses data up to a limit, because a small file may expand to a huge one.
 
-use std::io::Read;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use crate::fault::Fault;
 
 /// Maximum number of decompressed bytes per file: more than a day of 20 channels at 200 Hz as text.
 const MOST_BYTES: u64 = 4 << 30;
 
-/// The number of bytes that may still be decompressed from a file, including nested archives.
-#[derive(Debug)]
+/// Number of bytes that may be decompressed from any file, whatever its compressed size.
+const FREE_BYTES: u64 = 16 << 20;
+
+/// Maximum ratio of decompressed to compressed size beyond [`FREE_BYTES`].
+///
+/// The format of gzip and zip allows about 1000, which only repeated bytes reach. Samples with noise
+/// and increasing times do not repeat.
+const MOST_RATIO: u64 = 100;
+
+/// The numbers of compressed and decompressed bytes of a file, including nested archives.
+///
+/// Clones share the numbers.
+#[derive(Debug, Clone)]
 pub(crate) struct UnpackingBudget {
-    left: u64,
+    packed: Arc<AtomicU64>,
+    unpacked: Arc<AtomicU64>,
+    most_bytes: u64,
+}
+
+/// Decompressed data exceed their limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("decompressed content is {}, must be {}", self.found(), self.allowed())]
+pub(crate) struct TooMuch {
+    /// The limit that the data exceed, in bytes.
+    limit: u64,
+    most_bytes: u64,
 }
 
 impl UnpackingBudget {
-    pub(crate) fn new() -> Self {
-        Self { left: MOST_BYTES }
+    /// Creates the budget of data that are kept in memory.
+    pub(crate) fn in_memory() -> Self {
+        Self::up_to(MOST_BYTES)
+    }
+
+    /// Creates the budget of data that are processed as a stream, of any length.
+    pub(crate) fn streamed() -> Self {
+        Self::up_to(u64::MAX)
+    }
+
+    fn up_to(most_bytes: u64) -> Self {
+        Self {
+            packed: Arc::default(),
+            unpacked: Arc::default(),
+            most_bytes,
+        }
+    }
+
+    /// Adds compressed bytes of the outermost file.
+    pub(crate) fn count_packed(&self, bytes: u64) {
+        self.packed.fetch_add(bytes, Relaxed);
+    }
+
+    /// Returns a reader that counts what is read from the outermost compressed file.
+    pub(crate) fn packed<R>(&self, input: R) -> Packed<R> {
+        Packed {
+            input,
+            budget: self.clone(),
+        }
+    }
+
+    /// Returns a reader of the output of a decoder. It fails with [`TooMuch`] above the limit.
+    pub(crate) fn unpacked<R>(&self, decoder: R) -> Unpacked<R> {
+        Unpacked {
+            decoder,
+            budget: self.clone(),
+        }
     }
 
     /// Reads all output of a decoder. Memory grows with the actual output, not with the size in a
-    /// header. The error describes the problem found.
-    pub(crate) fn unpack(&mut self, decoder: impl Read) -> Result<Vec<u8>, String> {
+    /// header.
+    pub(crate) fn unpack(&self, decoder: impl Read) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        decoder
-            .take(self.left + 1)
-            .read_to_end(&mut bytes)
-            .map_err(|error| format!("damaged ({error})"))?;
-        match self.left.checked_sub(bytes.len() as u64) {
-            Some(left) => {
-                self.left = left;
-                Ok(bytes)
-            }
-            None => Err(format!("more than {} GiB in total", MOST_BYTES >> 30)),
+        self.unpacked(decoder).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn count_unpacked(&self, bytes: u64) -> Result<(), TooMuch> {
+        let unpacked = self.unpacked.fetch_add(bytes, Relaxed) + bytes;
+        let packed = self.packed.load(Relaxed);
+        let by_ratio = FREE_BYTES.max(packed.saturating_mul(MOST_RATIO));
+        let limit = by_ratio.min(self.most_bytes);
+        match unpacked > limit {
+            true => Err(TooMuch {
+                limit,
+                most_bytes: self.most_bytes,
+            }),
+            false => Ok(()),
         }
+    }
+}
+
+impl TooMuch {
+    fn found(&self) -> String {
+        match self.limit == self.most_bytes {
+            true => format!("more than {} GiB in total", self.limit >> 30),
+            false => format!("more than {} MiB", self.limit >> 20),
+        }
+    }
+
+    fn allowed(&self) -> String {
+        match self.limit == self.most_bytes {
+            true => format!("at most {} GiB", self.most_bytes >> 30),
+            false => format!(
+                "at most {} MiB, or {MOST_RATIO} times the compressed size",
+                FREE_BYTES >> 20
+            ),
+        }
+    }
+}
+
+/// The reason why compressed data cannot be used.
+pub(crate) struct Refusal {
+    what: &'static str,
+    found: String,
+    allowed: String,
+}
+
+impl Refusal {
+    /// Creates the reason from an error of a decoder. Valid compressed data are `whole`.
+    pub(crate) fn of(error: &io::Error, whole: &str) -> Self {
+        let too_much = error
+            .get_ref()
+            .and_then(|error| error.downcast_ref::<TooMuch>());
+        match too_much {
+            Some(too_much) => Self {
+                what: "decompressed content",
+                found: too_much.found(),
+                allowed: too_much.allowed(),
+            },
+            None => Self {
+                what: "compressed content",
+                found: format!("damaged ({error})"),
+                allowed: whole.to_owned(),
+            },
+        }
+    }
+
+    /// Returns the fault of a whole file.
+    pub(crate) fn of_file(self) -> Fault {
+        Fault::of_file(self.what, self.found, self.allowed)
+    }
+
+    /// Returns the fault of the data at a byte.
+    pub(crate) fn at_byte(self, byte: usize) -> Fault {
+        Fault::at_byte(byte, self.what, self.found, self.allowed)
+    }
+}
+
+/// A reader of the outermost compressed file.
+pub(crate) struct Packed<R> {
+    input: R,
+    budget: UnpackingBudget,
+}
+
+impl<R: Read> Read for Packed<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.input.read(buffer)?;
+        self.budget.count_packed(count as u64);
+        Ok(count)
+    }
+}
+
+impl<R: Seek> Seek for Packed<R> {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        self.input.seek(position)
+    }
+}
+
+/// A reader of decompressed data.
+pub(crate) struct Unpacked<R> {
+    decoder: R,
+    budget: UnpackingBudget,
+}
+
+impl<R: Read> Read for Unpacked<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.decoder.read(buffer)?;
+        self.budget
+            .count_unpacked(count as u64)
+            .map_err(io::Error::other)?;
+        Ok(count)
     }
 }
 
@@ -39,16 +198,49 @@ mod tests {
     use super::*;
 
     #[test]
-    fn budget_is_that_of_all_that_is_unpacked() {
-        let mut budget = UnpackingBudget { left: 10 };
+    fn unpacking_budget_covers_all_members_together() {
+        let budget = UnpackingBudget::up_to(10);
         assert_eq!(budget.unpack(&[1; 6][..]).unwrap().len(), 6);
         assert!(budget.unpack(&[1; 5][..]).is_err());
-        assert_eq!(budget.unpack(&[1; 4][..]).unwrap().len(), 4);
-        assert!(
-            budget
-                .unpack(std::io::repeat(0))
-                .unwrap_err()
-                .starts_with("more than 4 GiB")
+        let budget = UnpackingBudget::in_memory();
+        budget.count_packed(1 << 40);
+        let mut reader = budget.unpacked(std::io::repeat(0).take(u64::MAX));
+        let mut piece = vec![0; 1 << 28];
+        let error = (0..17)
+            .find_map(|_| reader.read_exact(&mut piece).err())
+            .unwrap();
+        let told = Refusal::of(&error, "whole").of_file().to_string();
+        assert_eq!(
+            told,
+            "decompressed content is more than 4 GiB in total, must be at most 4 GiB"
         );
+    }
+
+    #[test]
+    fn ratio_counts_beyond_what_every_file_may_unpack() {
+        let budget = UnpackingBudget::streamed();
+        let mut packed = budget.packed(std::io::repeat(1));
+        packed.read_exact(&mut [0; 1000]).unwrap();
+        let mut unpacked = budget.unpacked(std::io::repeat(0));
+        let mut piece = vec![0; FREE_BYTES as usize];
+        unpacked.read_exact(&mut piece).unwrap();
+        let told = unpacked.read_exact(&mut [0]).unwrap_err();
+        let told = Refusal::of(&told, "whole").of_file().to_string();
+        assert_eq!(
+            told,
+            "decompressed content is more than 16 MiB, must be at most 16 MiB, or 100 times the \
+             compressed size"
+        );
+    }
+
+    #[test]
+    fn data_of_a_usual_ratio_have_any_length() {
+        let budget = UnpackingBudget::streamed();
+        let mut packed = budget.packed(std::io::repeat(1));
+        let mut unpacked = budget.unpacked(std::io::repeat(0));
+        for _ in 0..20 {
+            packed.read_exact(&mut vec![0; 1 << 20]).unwrap();
+            unpacked.read_exact(&mut vec![0; 50 << 20]).unwrap();
+        }
     }
 }

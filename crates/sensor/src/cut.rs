@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn each_node_gets_its_channels() {
+    fn each_node_receives_its_channels() {
         let rows = [(0, vec![1.0, 2.0, 3.0]), (STEP, vec![4.0, 5.0, 6.0])];
         let blocks = cut(vec![node("a", 2), node("b", 1)], 10, &rows);
         assert_eq!(of_node(&blocks, 0)[0].samples, [1.0, 2.0, 4.0, 5.0]);
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_follow_each_other_and_the_last_one_ends() {
+    fn blocks_are_consecutive_and_the_last_one_ends_the_stream() {
         let rows: Vec<_> = (0..6).map(|n| (n * STEP, vec![n as f64])).collect();
         let blocks = cut(vec![node("a", 1)], 3, &rows);
         let heads: Vec<_> = blocks
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn times_with_few_digits_do_not_tear_blocks_apart() {
+    fn rounded_times_do_not_split_blocks() {
         let rows: Vec<_> = (0..100)
             .map(|n: i64| ((n * 25_000_000 / 3) / 10_000 * 10_000, vec![0.0]))
             .collect();
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_ahead_shifts_the_times_of_its_node_only() {
+    fn clock_offset_shifts_only_the_times_of_its_node() {
         let ahead = NodePlan {
             clock_offset_ns: 7,
             ..node("b", 1)
@@ -360,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_runs_fast_moves_the_blocks_of_its_node_further_and_further() {
+    fn clock_drift_accumulates_in_the_block_times_of_its_node() {
         let fast = NodePlan {
             clock_offset_ns: 7,
             clock_drift_ppm: 50.0,
@@ -382,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_in_frames_already_is_left_out_node_by_node() {
+    fn samples_already_in_frames_are_omitted_per_node() {
         let ahead = NodePlan {
             clock_offset_ns: STEP,
             ..node("b", 1)

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_batch_larger_than_the_window_goes_alone() {
+    fn batch_larger_than_the_window_is_sent_alone() {
         assert!(WINDOW.admits(50, &put(&[1050]), Some(&progress(5, 1050))));
         assert!(!WINDOW.admits(50, &put(&[1050]), None));
     }
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn all_is_done_with_the_frame_of_the_last_sample() {
+    fn source_is_done_with_the_frame_of_its_last_sample() {
         assert!(!WINDOW.all_done(1100, &progress(5, 1080)));
         assert!(WINDOW.all_done(1100, &progress(5, 1095)));
     }

@@ -52,8 +52,11 @@ fn level(event: &Event) -> Level {
         | EventKind::NodeBack
         | EventKind::ChannelBack
         | EventKind::SamplesBack
+        | EventKind::ClockRight
         | EventKind::Maintenance
-        | EventKind::CaughtUp => Level::INFO,
+        | EventKind::CaughtUp
+        | EventKind::HistoryBack
+        | EventKind::StateBack => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
         | EventKind::Unidentified
@@ -62,8 +65,11 @@ fn level(event: &Event) -> Level {
         | EventKind::ChannelExcluded
         | EventKind::ChannelInDoubt
         | EventKind::SamplesDropped
+        | EventKind::ClockWrong
         | EventKind::Monitoring
         | EventKind::Gap
-        | EventKind::Overloaded => Level::WARN,
+        | EventKind::Overloaded
+        | EventKind::HistoryUnavailable
+        | EventKind::StateLost => Level::WARN,
     }
 }

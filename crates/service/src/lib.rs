@@ -17,15 +17,18 @@
 //! - [`Clock`]: the wall clock
 //! - [`StatusPublisher`], [`Report`]: the status, once per second
 //! - [`EventPublisher`], [`log_event`]: events, on the bus and in the log
+//! - [`Audit`], [`AuditLog`]: what was refused to clients, in the log and as counts
 //!
 //! Decisions and maths do not belong in this crate. They are in the core of each service.
 
+mod audit;
 mod clock;
 mod events;
 mod plan;
 mod service;
 mod status;
 
+pub use audit::{Audit, AuditLine, AuditLog, Refused};
 pub use clock::Clock;
 pub use events::{EventPublisher, log_event};
 pub use plan::{Monitored, ServiceInstance};

@@ -574,7 +574,7 @@ mod tests {
     }
 
     #[test]
-    fn demo_is_told_with_its_modes_parameters_and_levels() {
+    fn report_of_the_demo_lists_modes_parameters_and_levels() {
         let text = page(DEMO).to_string();
         for part in [
             "demo: five-storey building, ground motion measured",
@@ -610,7 +610,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_sensor_at_the_ground_storey_1_and_its_level_are_named_with_what_to_do() {
+    fn report_advises_a_ground_sensor_if_storey_1_depends_on_the_level() {
         let text = page(OUTPUT_ONLY).to_string();
         let mut lines = text.lines();
         let finding = lines

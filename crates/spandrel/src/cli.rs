@@ -1,5 +1,6 @@
 //! The command line.
 
+use crate::bus_audit::Scope;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use spandrel_access::Role;
 use spandrel_filter::ImportanceDensity;
@@ -168,6 +169,26 @@ pub enum Command {
         /// Name of the shell.
         shell: clap_complete::Shell,
     },
+}
+
+impl Command {
+    /// Returns what Zenoh may refuse to others in this process. `None` if nobody connects to it.
+    pub fn audited(&self) -> Option<Scope> {
+        match self {
+            Self::Router(_) => Some(Scope::Router),
+            Self::Demo(_)
+            | Self::Run(_)
+            | Self::Feed(_)
+            | Self::Ingest(_)
+            | Self::Identify(_)
+            | Self::Fuse(_)
+            | Self::Alert(_)
+            | Self::History(_)
+            | Self::Notify(_)
+            | Self::Dashboard(_) => Some(Scope::Handshakes),
+            _ => None,
+        }
+    }
 }
 
 /// Options for joining the bus.
@@ -901,7 +922,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_below_their_range_are_refused_with_it() {
+    fn error_names_the_range_of_a_number() {
         for (option, told) in [
             ("--drift=-1", "must be a number, 0 or more"),
             ("--warm-up", "0 or more"),
@@ -923,7 +944,7 @@ mod tests {
     }
 
     #[test]
-    fn defaults_of_particles_are_those_that_help_tells() {
+    fn defaults_of_particles_equal_those_in_the_help() {
         let Command::Estimate(arguments) =
             Arguments::try_parse_from(["spandrel", "estimate", "a.toml", "--record", "a.csv"])
                 .unwrap()

@@ -411,7 +411,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn places_in_the_source_of_zenoh_are_left_out() {
+    fn source_locations_of_zenoh_are_removed() {
         let told = "No such file (os error 2) at /root/.cargo/zenoh-config-1.10.2/src/lib.rs:1507. - Caused by x at a.rs:3.";
         assert_eq!(
             without_source_places(told),

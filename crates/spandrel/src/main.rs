@@ -2,6 +2,7 @@
 //!
 //! One program with one subcommand per service, and further tools.
 
+mod bus_audit;
 mod check_report;
 mod cli;
 mod commands;
@@ -34,7 +35,8 @@ static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 
 fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
-    logging::start(arguments.log, arguments.verbose);
+    let scope = arguments.command.audited();
+    logging::start(arguments.log, arguments.verbose, scope);
     match commands::run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

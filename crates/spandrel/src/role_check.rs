@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_role_that_may_not_is_told_which_ones_may() {
+    fn error_lists_the_roles_that_have_the_right() {
         let samples = [Need::PUT_SAMPLES];
         let why = "it belongs to viewer.ada, and role viewer may not publish samples, which \
                    spandrel simulate requires; roles that may: server, gateway, \
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn who_may_not_acknowledge_is_told_who_may() {
+    fn error_lists_the_roles_that_may_acknowledge() {
         let lack = |party: &str| lack(&party.parse().unwrap(), &[Need::ACKNOWLEDGE], "");
         let why = "role dashboard may not acknowledge; roles that may: server, operator";
         assert_eq!(lack("dashboard.page").as_deref(), Some(why));
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn a_certificate_of_one_structure_or_node_is_for_nothing_else() {
+    fn certificate_is_valid_only_for_its_structure_or_node() {
         let samples = [Need::PUT_SAMPLES];
         assert!(
             told("gateway.bridge", &samples, &["ground"])
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn every_need_is_met_by_some_role() {
+    fn at_least_one_role_has_each_right() {
         for need in [
             Need::PUT_SAMPLES,
             Need::PUT_FRAMES,

@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn flags_lie_over_variables_over_the_file_over_defaults() {
+    fn options_precede_variables_file_and_defaults() {
         let file = "threads = 3\nstructures = [\"a.toml\"]\n[bus]\nroot = \"from-file\"\nlisten = [\"tcp/127.0.0.1:1\"]\n";
         let variables = [
             ("SPANDREL_BUS__ROOT", "from-variable"),
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flag_says_where_the_page_is_before_the_configuration_does() {
+    fn option_for_the_page_precedes_the_configuration() {
         let settings = load(
             "[dashboard]\nlisten = \"127.0.0.1:1\"\n",
             &[],
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn history_lies_beside_the_configuration_or_where_programs_remember() {
+    fn history_is_beside_the_configuration_or_in_the_state_folder() {
         let settings = load(
             "[history]\ndatabase = \"bridge.sqlite\"\nkeep.day-s = 5\n",
             &[],
@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_name_file_and_key() {
+    fn error_names_file_and_key() {
         for (file, expected) in [
             ("thread = 3\n", "thread"),
             ("[bus]\nlisten = 7\n", "bus.listen"),
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_variable_is_named() {
+    fn error_names_a_wrong_variable() {
         let text = load(
             "",
             &[("SPANDREL_THREADS", "many")],
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_file_is_named() {
+    fn error_names_a_missing_file() {
         let arguments = BusArguments {
             config: Some("nowhere.toml".into()),
             ..BusArguments::default()

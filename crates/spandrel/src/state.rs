@@ -7,8 +7,17 @@ use spandrel_bus::Keys;
 use spandrel_checkpoint::Remembering;
 use spandrel_ingest::RecordingSettings;
 use spandrel_record::LogSettings;
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use tracing::{debug, info};
+
+/// Folders of a structure.
+const RECORDING: &str = "recording";
+const CHECKPOINTS: &str = "checkpoints";
+/// Permissions of a new folder. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
 
 /// Settings of persistent state.
 #[derive(Debug, Clone, Default, Deserialize, PartialEq)]
@@ -134,7 +143,7 @@ impl State {
     /// Returns the settings for recording the frames of a structure.
     pub fn recording(&self, keys: &Keys) -> RecordingSettings {
         RecordingSettings {
-            folder: self.of(keys).join("recording"),
+            folder: self.of(keys).join(RECORDING),
             log: self.log,
             sync_every: self.sync_every,
         }
@@ -143,8 +152,28 @@ impl State {
     /// Returns the settings for the checkpoints of a structure's services.
     pub fn remembering(&self, keys: &Keys) -> Remembering {
         Remembering {
-            folder: self.of(keys).join("checkpoints"),
+            folder: self.of(keys).join(CHECKPOINTS),
             every: self.checkpoint_every,
+        }
+    }
+
+    /// Creates the folders of a structure again if they are missing and the state folder exists.
+    ///
+    /// A state folder that is gone may come back, for example with its disk. It is therefore never
+    /// created here.
+    pub fn restore_folders(&self, keys: &Keys) {
+        let of_structure = self.of(keys);
+        for name in [RECORDING, CHECKPOINTS] {
+            let folder = of_structure.join(name);
+            if self.folder.is_dir() && !folder.is_dir() {
+                let mut builder = DirBuilder::new();
+                let created = builder.recursive(true).mode(FOLDER_MODE).create(&folder);
+                match created {
+                    Ok(()) => info!(folder = %folder.display(), "created the folder again"),
+                    // The services that need the folder report that they cannot write.
+                    Err(error) => debug!(folder = %folder.display(), %error, "no folder"),
+                }
+            }
         }
     }
 
@@ -162,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_structure_has_its_folder_below_the_root_of_its_site() {
+    fn each_structure_has_a_folder_below_its_bus_root() {
         let settings = StateSettings {
             folder: Some("kept".into()),
             beside: "/etc/spandrel".into(),
@@ -186,7 +215,25 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_is_none_is_refused() {
+    fn folders_of_a_structure_are_created_again_and_the_state_folder_is_not() {
+        let beside = tempfile::tempdir().unwrap();
+        let settings = StateSettings {
+            folder: Some("kept".into()),
+            beside: beside.path().to_owned(),
+            ..Default::default()
+        };
+        let state = settings.state().unwrap().unwrap();
+        let keys = Keys::parse("city", "bridge").unwrap();
+        state.restore_folders(&keys);
+        assert!(!beside.path().join("kept").exists());
+        std::fs::create_dir(beside.path().join("kept")).unwrap();
+        state.restore_folders(&keys);
+        assert!(state.recording(&keys).folder.is_dir());
+        assert!(state.remembering(&keys).folder.is_dir());
+    }
+
+    #[test]
+    fn invalid_times_are_rejected() {
         let read = |text: &str| toml::from_str::<StateSettings>(text);
         assert_eq!(
             read("checkpoint-s = 2").unwrap().checkpoint_s,

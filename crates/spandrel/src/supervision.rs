@@ -1,14 +1,16 @@
 //! Supervision of services: restarts after a panic, and notifications to systemd.
 
 use crate::error::AppError;
+use crate::state::State;
 use sd_notify::NotifyState;
+use spandrel_bus::Keys;
 use spandrel_identify::FilterPool;
 use std::collections::VecDeque;
 use std::future::Future;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::task::JoinSet;
-use tokio::time::Instant;
+use tokio::time::{Instant, MissedTickBehavior};
 use tracing::{debug, error, info, warn};
 
 /// Number of panics of one service of one structure within [`PANICS_WITHIN`] that ends the process.
@@ -17,6 +19,8 @@ const MOST_PANICS: usize = 5;
 const PANICS_WITHIN: Duration = Duration::from_secs(60);
 /// Pause before a restart.
 const PAUSE: Duration = Duration::from_millis(200);
+/// Interval between checks of the state folder.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// Runs one service of one structure and restarts it after a panic.
 ///
@@ -142,6 +146,27 @@ pub async fn feed_watchdog<T>(pool: Option<FilterPool>) -> T {
     }
 }
 
+/// Creates the folders of the structures again if the state folder has come back without them.
+///
+/// Never returns.
+pub async fn keep_folders<T>(state: Option<&State>, keys: Vec<Keys>) -> T {
+    let Some(state) = state else {
+        return std::future::pending().await;
+    };
+    let mut look = tokio::time::interval(LOOK_EVERY);
+    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        look.tick().await;
+        let (state, keys) = (state.clone(), keys.clone());
+        // A disk that hangs must not stop the runtime.
+        let looked =
+            tokio::task::spawn_blocking(move || keys.iter().for_each(|k| state.restore_folders(k)));
+        if let Err(error) = looked.await {
+            warn!(%error, "cannot look at the state folder");
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -156,7 +181,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_service_that_panics_lives_again_and_one_that_keeps_panicking_ends_the_process() {
+    async fn service_restarts_after_a_panic_and_repeated_panics_end_the_process() {
         let counted = Arc::new(AtomicU32::new(0));
         let life = |lives| {
             let counted = counted.clone();
@@ -181,7 +206,7 @@ mod tests {
 
     /// Regression test: an aborted service kept running next to its successor, and led.
     #[tokio::test]
-    async fn a_life_ends_with_whoever_has_given_it_up() {
+    async fn service_ends_when_its_supervisor_is_aborted() {
         let (alive, ended) = tokio::sync::oneshot::channel::<()>();
         let (begun, has_begun) = tokio::sync::oneshot::channel();
         let first = async move {
@@ -204,7 +229,7 @@ mod tests {
     /// Regression test: a panic of a filter on its own thread, which its service reports as an
     /// error, ended the process.
     #[tokio::test]
-    async fn a_service_whose_filter_was_lost_lives_again() {
+    async fn service_restarts_after_the_loss_of_its_filter_thread() {
         let lost = || {
             AppError::Identify(IdentifyError::ThreadLost {
                 structure: "tower".to_owned(),

@@ -17,6 +17,7 @@ mod natural_name;
 mod trail;
 mod view;
 
+mod conditions;
 mod draw;
 mod estimate_bar;
 mod lists;

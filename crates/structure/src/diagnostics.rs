@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_close_name_is_suggested_and_a_far_one_brings_the_list() {
+    fn similar_name_is_suggested_and_otherwise_the_names_are_listed() {
         let known = ["half-life-s", "noise-rule"];
         assert_eq!(
             one_of("half-live-s", known.into_iter()),
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_with_another_number_brings_the_list() {
+    fn names_are_listed_if_only_the_number_is_wrong() {
         let storeys: Vec<String> = (1..=40).map(|storey| format!("storey-{storey}")).collect();
         let known = |count: usize| storeys[..count].iter().map(String::as_str);
         assert_eq!(
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thing_is_counted_in_the_singular() {
+    fn count_of_one_is_in_the_singular() {
         assert_eq!(
             [1, 2].map(|count| counted(count, "entry", "entries")),
             ["1 entry", "2 entries"]
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_position_becomes_the_line_it_is_on() {
+    fn position_is_converted_to_its_line() {
         let diagnostics = Diagnostics::new(Path::new("a.toml"), "a\nb\nc");
         for at in 0..5 {
             diagnostics.report(at..at, "k", "f", "a");

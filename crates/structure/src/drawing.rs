@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tower_stands_upright_and_each_beam_has_both_ways_of_bending() {
+    fn tower_is_drawn_upright_and_its_beams_bend_in_both_directions() {
         let tower = drawing("tower.toml");
         assert!(tower.points.iter().all(|point| point.x == 0.0));
         assert_eq!(tower.points.last().unwrap().y, 610.0);
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dome_in_space_is_seen_from_aside() {
+    fn dome_is_drawn_in_an_oblique_view() {
         let dome = drawing("dome.toml");
         let width = |of: fn(&DrawnPoint) -> f64| {
             let all = || dome.points.iter().map(of);

@@ -6,6 +6,7 @@
 mod alert;
 mod chain;
 mod classes;
+mod condition;
 mod damping;
 mod excitation;
 mod filter;
@@ -223,6 +224,7 @@ impl<'t> StructureFile<'t> {
                 levels,
             },
         );
+        let conditions = condition::read_conditions(&mut file);
         file.finish();
         Some(Structure {
             text: self.text.to_owned(),
@@ -251,6 +253,7 @@ impl<'t> StructureFile<'t> {
             alert_rules,
             record: record?,
             simulation,
+            conditions,
             excitation_errors: ExcitationErrors::default(),
         })
     }

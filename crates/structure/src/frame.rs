@@ -174,7 +174,7 @@ mod tests {
     /// Lumped masses converge with the square of the member length. Consistent masses converge from
     /// above with the fourth power: Archer (1963), *J. Struct. Div.* 89, 161.
     #[test]
-    fn a_beam_on_two_pins_converges_to_the_textbook() {
+    fn frequency_of_a_pinned_beam_converges_to_the_textbook() {
         let exact = PI / 2.0 * (2.1e11_f64 * 3e-4 / (7850.0 * 0.02)).sqrt() / 100.0;
         let error = |members, form| beam(members, form) / exact - 1.0;
         let [coarse, fine] = [4, 8].map(|members| error(members, "consistent"));
@@ -221,7 +221,7 @@ mod tests {
     ///
     /// `w = F L³/3EI + M L²/2EI`, `φ = F L²/2EI + M L/EI`, `u = N L/EA`.
     #[test]
-    fn the_tip_of_a_cantilever_bends_as_in_the_textbook() {
+    fn tip_deflection_of_a_cantilever_equals_the_textbook() {
         let (l, ei, ea) = (5.0, 2.1e11 * 3e-4, 2.1e11 * 0.02);
         let stiffness =
             element(&SECTION, Vector3::new(l, 0.0, 0.0), MassForm::Consistent).stiffness;

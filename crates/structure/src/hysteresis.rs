@@ -144,7 +144,7 @@ mod tests {
     };
 
     #[test]
-    fn a_spring_pushed_on_settles_at_its_yield_amplitude() {
+    fn steadily_pushed_spring_reaches_its_yield_amplitude() {
         let (mut r, h) = (0.0, 1e-5);
         for _ in 0..100_000 {
             r += h * LAW.rate(0.2, r);

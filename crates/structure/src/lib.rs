@@ -26,10 +26,12 @@
 //! - [`Node`], [`Channel`], [`Quantity`]: the sensors
 //! - [`Parameter`], [`Excitation`], [`NoiseLevel`]: uncertain properties, excitation, and their
 //!   levels
+//! - [`Condition`]: slow quantities, such as temperatures, that no model contains
 //! - [`EstimatedResponse`]: requested displacements and velocities that no sensor measures
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
+//! - [`text_encoding`]: decodes the text of a file, and names an encoding other than UTF-8
 //!
 //! Logic:
 //!
@@ -43,6 +45,7 @@
 //! For other systems, implement the traits of `spandrel-filter` directly.
 
 mod alert_rule;
+mod condition;
 mod error;
 mod estimated_response;
 mod excitation;
@@ -67,6 +70,7 @@ mod mesh;
 mod section;
 mod shear_building;
 mod skeleton;
+pub mod text_encoding;
 mod tower;
 mod truss;
 
@@ -96,6 +100,7 @@ pub use check::{
 };
 pub use classes::StructureClasses;
 pub use common_motion::CommonMotion;
+pub use condition::Condition;
 pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
 pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;

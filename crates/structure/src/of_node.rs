@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_sees_its_own_channels_and_no_excitation_of_others() {
+    fn node_observes_only_its_own_channels_and_excitation() {
         let floor = demo().of_node("floor-3").unwrap();
         assert_eq!(floor.channel_count(), 1);
         assert_eq!(
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_that_measures_the_excitation_knows_it() {
+    fn node_that_measures_the_excitation_uses_it_as_known() {
         let ground = demo().of_node("ground").unwrap();
         assert_eq!(
             (ground.observation_channels(), ground.excitation_channels()),
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slower_node_sees_the_same_white_noise() {
+    fn slower_node_has_the_same_spectral_density_of_white_noise() {
         let text = include_str!("../../../docs/examples/demo.toml").replace(
             "name = \"floor-3\"\n\n[[node.channel]]",
             "name = \"floor-3\"\nsampling-rate-hz = 50\n\n[[node.channel]]",

@@ -305,7 +305,7 @@ mod tests {
     /// Both methods count the same information: one in time with filters on simulated data, the
     /// other by frequency without data.
     #[test]
-    fn frequencies_hold_what_innovations_hold() {
+    fn spectral_information_agrees_with_that_of_the_innovations() {
         for text in [DEMO, OUTPUT_ONLY] {
             let structure = parse(text);
             let simulated = Information::expected(&structure, 6000, 1).unwrap().held;

@@ -2,7 +2,8 @@
 
 use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
-use crate::error::StructureError;
+use crate::condition::Condition;
+use crate::error::{Diagnostic, StructureError};
 use crate::estimated_response::EstimatedResponse;
 use crate::excitation::{Action, Excitation};
 use crate::excitation_dependence::ExcitationErrors;
@@ -18,6 +19,7 @@ use crate::parameter::Parameter;
 use crate::record_map::RecordMap;
 use crate::settings::{BandLimit, IngestSettings, ParticleKeys};
 use crate::simulation_plan::SimulationPlan;
+use crate::text_encoding::{WrongEncoding, decode};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::InputHold;
 use std::fs::File;
@@ -59,6 +61,7 @@ pub struct Structure {
     pub(crate) alert_rules: Vec<AlertRule>,
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
+    pub(crate) conditions: Vec<Condition>,
     pub(crate) excitation_errors: ExcitationErrors,
 }
 
@@ -76,19 +79,31 @@ impl Structure {
             path: path.to_owned(),
             source,
         };
-        let mut text = String::new();
-        // A device has no length and may never end.
+        // Opening a pipe waits for its writer, and a device has no end.
+        if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
+            return Err(StructureError::NotAFile {
+                path: path.to_owned(),
+            });
+        }
+        let mut bytes = Vec::new();
         File::open(path)
             .map_err(unreadable)?
             .take(MAX_BYTES + 1)
-            .read_to_string(&mut text)
+            .read_to_end(&mut bytes)
             .map_err(unreadable)?;
-        if text.len() as u64 > MAX_BYTES {
+        if bytes.len() as u64 > MAX_BYTES {
             return Err(StructureError::TooLarge {
                 path: path.to_owned(),
                 most: MAX_BYTES,
             });
         }
+        let text = decode(bytes).map_err(|wrong| {
+            let WrongEncoding { line, found, .. } = wrong;
+            let allowed = WrongEncoding::ALLOWED;
+            StructureError::Invalid {
+                diagnostics: vec![Diagnostic::new(path, line, "encoding", found, allowed)],
+            }
+        })?;
         Self::parse(&text, path)
     }
 
@@ -134,13 +149,13 @@ impl Structure {
 
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
-    /// It is the file without its comments, alert rules, simulation, record table, description and
-    /// place, followed by the matrices that it names.
+    /// It is the file without its comments, alert rules, conditions, simulation, record table,
+    /// description and place, followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
         let mut table: toml::Table = self.text.parse().unwrap_or_default();
-        for of_others in ["alert", "simulation", "record"] {
+        for of_others in ["alert", "condition", "simulation", "record"] {
             table.remove(of_others);
         }
         if let Some(structure) = table
@@ -381,6 +396,12 @@ impl Structure {
         &self.simulation
     }
 
+    /// Returns the conditions that instruments measure beside the motion.
+    #[must_use]
+    pub fn conditions(&self) -> &[Condition] {
+        &self.conditions
+    }
+
     /// Returns the channel of each observation row.
     pub(crate) fn observations(&self) -> impl Iterator<Item = &Channel> {
         self.channels()
@@ -404,5 +425,40 @@ impl Structure {
     /// Returns the undamped modes as designed.
     pub(crate) fn nominal_modes(&self) -> Option<Modes> {
         Modes::of(&self.system, &vec![1.0; self.system.substructures.len()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Opening a pipe waits for its writer, so that the program waited forever.
+    #[cfg(unix)]
+    #[test]
+    fn pipe_and_device_are_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe.toml");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        for path in [pipe.as_path(), Path::new("/dev/zero"), folder.path()] {
+            let told = Structure::read(path).unwrap_err().to_string();
+            let expected = format!(
+                "{}: is a folder, a pipe, a device or a socket, must be a regular file",
+                path.display()
+            );
+            assert_eq!(told, expected);
+        }
+    }
+
+    #[test]
+    fn file_in_utf_16_is_named_with_its_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tower.toml");
+        std::fs::write(&path, b"\xff\xfe[\0s\0").unwrap();
+        let told = Structure::read(&path).unwrap_err().to_string();
+        assert!(
+            told.ends_with("tower.toml:1: encoding: is UTF-16 (little-endian), must be UTF-8"),
+            "{told}"
+        );
     }
 }

@@ -214,7 +214,7 @@ mod tests {
 
     /// Each substructure resists only the deformation in its name.
     #[test]
-    fn ways_of_bending_are_apart() {
+    fn substructures_resist_only_their_own_deformation() {
         let system = system(&[uniform(2)], MassForm::Consistent).unwrap();
         for (part, moved) in
             system

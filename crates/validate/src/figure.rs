@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requirements_hold_at_their_ends_and_never_for_nan() {
+    fn requirements_hold_at_their_limits_and_never_for_nan() {
         assert!(Required::Within { of: 1.0, by: 0.5 }.holds(1.5));
         assert!(!Required::relative(2.0, 0.05).holds(2.11));
         assert!(
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn a_measured_number_is_written_as_finely_as_it_is_judged() {
+    fn measured_number_has_the_digits_of_its_requirement() {
         for (value, required, text) in [
             (
                 0.075_398_22,

@@ -266,7 +266,7 @@ mod tests {
     };
 
     #[test]
-    fn a_stopped_plan_goes_on_where_it_was() {
+    fn stopped_plan_resumes() {
         let directory = tempfile::tempdir().unwrap();
         let plan = |mark: &str| {
             Plan::new(vec![&COUNTED], vec![1, 2], Length::Quick).keep(directory.path(), mark)
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_report_of_one_case_keeps_what_was_kept_of_the_others() {
+    fn report_of_one_case_keeps_the_stored_results_of_the_others() {
         let directory = tempfile::tempdir().unwrap();
         let vehicle = cases()
             .iter()
@@ -364,7 +364,7 @@ mod tests {
     };
 
     #[test]
-    fn a_known_miss_is_shown_with_its_requirement_and_reason_and_does_not_fail_the_run() {
+    fn known_miss_is_shown_with_its_reason_and_does_not_fail_the_run() {
         let report = Plan::new(vec![&MISSED], vec![101, 102], Length::Full)
             .run(&Quiet)
             .unwrap();
@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn a_case_without_result_fails_and_the_others_go_on() {
+    fn case_without_result_fails_and_the_others_continue() {
         let report = Plan::new(vec![&FAILED, &PLAIN], vec![1, 2, 3], Length::Full)
             .threads(2)
             .run(&Quiet)

@@ -85,12 +85,12 @@ mod tests {
     }
 
     #[test]
-    fn a_number_stands_for_the_seeds_from_one() {
+    fn number_means_the_seeds_from_one() {
         assert_eq!(parsed("3"), [1, 2, 3]);
     }
 
     #[test]
-    fn every_other_text_is_refused_with_what_is_allowed() {
+    fn error_names_the_allowed_forms_of_seeds() {
         for (text, part) in [
             ("8..4", "the range 8..4 is empty"),
             ("0", "the range 1..0 is empty"),

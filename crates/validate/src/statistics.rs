@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn correlation_knows_neither_offset_nor_scale() {
+    fn correlation_is_independent_of_offset_and_scale() {
         let mut same = Accuracy::default();
         let mut unrelated = Accuracy::default();
         for i in 0..1000 {

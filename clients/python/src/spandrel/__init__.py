@@ -1,6 +1,7 @@
 """Sensors, dashboards and scripts for Spandrel, a structural health monitoring daemon.
 
 - `Sensor`: publishes the samples of a node, and keeps them for services that missed some
+- `ConditionPublisher`: publishes a slow quantity, such as a temperature
 - `subscribe`: receives parameters, losses, alerts, noise levels, fits, events and statuses
 - `history`: queries past values
 - `latest_alerts`, `acknowledge`: query and acknowledge alerts
@@ -11,6 +12,7 @@ The package uses Zenoh's own Python package. docs/topics.md of Spandrel describe
 
 from .alerts import acknowledge, latest_alerts
 from .bus import DEFAULT_ENDPOINT, DEFAULT_ROOT, open_session
+from .conditions import ConditionPublisher
 from .errors import (
     Closed,
     InvalidMessage,
@@ -24,6 +26,7 @@ from .errors import (
 )
 from .past import History, Point, history
 from .messages import (
+    CONDITION_UNITS,
     MESSAGES,
     Alert,
     ChannelFit,
@@ -31,6 +34,7 @@ from .messages import (
     ChannelMonitoring,
     ClassCalibration,
     ClassPlausibility,
+    Condition,
     Event,
     Fit,
     Interval,
@@ -52,6 +56,7 @@ from .sensor import SAMPLES_KEPT, Sensor
 from .subscription import Subscription, subscribe
 
 __all__ = [
+    "CONDITION_UNITS",
     "DEFAULT_ENDPOINT",
     "DEFAULT_ROOT",
     "MESSAGES",
@@ -63,6 +68,8 @@ __all__ = [
     "ClassCalibration",
     "ClassPlausibility",
     "Closed",
+    "Condition",
+    "ConditionPublisher",
     "Event",
     "Fit",
     "History",

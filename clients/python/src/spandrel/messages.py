@@ -138,6 +138,63 @@ class SensorHealth:
     channels: Tuple[ChannelHealth, ...]
 
 
+#: Units of conditions.
+CONDITION_UNITS: Tuple[str, ...] = (
+    "degC",
+    "K",
+    "%",
+    "1",
+    "m/s",
+    "km/h",
+    "deg",
+    "rad",
+    "mrad",
+    "m",
+    "cm",
+    "mm",
+    "um",
+    "N",
+    "kN",
+    "MN",
+    "N m",
+    "kN m",
+    "kg",
+    "t",
+    "Pa",
+    "hPa",
+    "kPa",
+    "MPa",
+    "m/s2",
+    "microstrain",
+    "W/m2",
+    "mm/h",
+    "Hz",
+    "1/h",
+    "V",
+    "mV",
+    "mA",
+)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Value of a condition, such as a temperature."""
+
+    TYPE: ClassVar[str] = "condition"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "condition/{name}"
+
+    structure: str
+    name: str
+    time_ns: int
+    value: float
+    unit: str
+    #: Expected time until the next value, in seconds.
+    interval_s: Optional[float] = None
+    #: Label of the instrument.
+    instrument: Optional[str] = None
+
+
 @dataclass(frozen=True)
 class ClassPlausibility:
     """Plausibility of one model class, named `class` in the message."""
@@ -312,10 +369,15 @@ class Monitoring:
 
 @dataclass(frozen=True)
 class NodeClock:
-    """Time from the frames to the samples of a node, and the variation of its time stamps."""
+    """Time from the frames to the samples of a node, and the variation of its time stamps.
+
+    ``difference_s`` is the clock of the node minus the clock of most nodes, or ``None`` if they
+    agree.
+    """
 
     offset_s: float
     jitter_s: float
+    difference_s: Optional[float] = None
 
 
 @dataclass(frozen=True)
@@ -350,6 +412,7 @@ Message = Union[
     Noise,
     Outlier,
     SensorHealth,
+    Condition,
     ModelClass,
     Fit,
     Monitoring,
@@ -366,6 +429,7 @@ MESSAGES: Tuple[Type[Any], ...] = (
     Noise,
     Outlier,
     SensorHealth,
+    Condition,
     ModelClass,
     Fit,
     Monitoring,

@@ -98,9 +98,9 @@ def history(
     root: str = DEFAULT_ROOT,
     timeout: float = 10.0,
 ) -> History:
-    """Returns the past values of a parameter, loss, noise level, channel, class or node.
+    """Returns the past values of a parameter, loss, noise level, channel, class, node or condition.
 
-    `kind` is `parameter`, `loss`, `noise`, `outlier`, `class` or `node`. `points` is the maximum
+    `kind` is `parameter`, `loss`, `noise`, `outlier`, `class`, `node` or `condition`. `points` is the maximum
     number of points, 1 to 20,000. The history combines values if the period contains more.
 
     Raises `NoReply` if no history replies within `timeout` seconds. `spandrel run` and

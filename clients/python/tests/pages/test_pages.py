@@ -104,6 +104,19 @@ def test_the_sensors_of_the_readme_are_recorded(desk):
         desk.run(two)
 
 
+def test_the_condition_of_the_readme_is_kept(desk):
+    services, publishing = blocks(README, "## A condition")
+    with desk.service(services):
+        desk.run(publishing)
+        deadline = time.monotonic() + DEADLINE_S
+        while True:
+            past = spandrel.history("demo", "air", kind="condition").points
+            if len(past) == 3:
+                break
+            assert time.monotonic() < deadline, f"the history has {past}"
+    assert [point.mean for point in past] == [21.5, 21.6, 21.4]
+
+
 def test_the_programs_of_the_readme_receive_plot_acknowledge_and_query(desk):
     services, simulation, printing, plotting, acknowledging, history, watching = blocks(
         README, "## Estimates and alerts"

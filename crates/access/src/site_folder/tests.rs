@@ -19,7 +19,7 @@ fn party(common_name: &str) -> Party {
 }
 
 #[test]
-fn files_are_for_their_owner_alone() {
+fn only_the_owner_can_read_the_files() {
     let (_folder, site) = site();
     let issued = site
         .issue(&party("worker.main"), &[], 365, Existing::Keep)
@@ -36,7 +36,7 @@ fn files_are_for_their_owner_alone() {
 }
 
 #[test]
-fn nothing_is_overwritten_unless_asked() {
+fn existing_files_are_overwritten_only_on_request() {
     let (_folder, site) = site();
     let worker = party("worker.main");
     let first = site.issue(&worker, &[], 365, Existing::Keep).unwrap();
@@ -56,7 +56,7 @@ fn nothing_is_overwritten_unless_asked() {
 }
 
 #[test]
-fn only_who_is_connected_to_can_be_a_server() {
+fn only_router_certificates_permit_server_use() {
     let (_folder, site) = site();
     let server_use = |issued: &Issued| {
         let text = std::fs::read(&issued.certificate).unwrap();
@@ -107,7 +107,7 @@ fn no_certificate_outlives_its_authority() {
 }
 
 #[test]
-fn those_with_a_certificate_are_found_again() {
+fn all_parties_with_a_certificate_are_listed() {
     let (_folder, site) = site();
     for name in ["worker.main", "sensor.tower.roof", "gateway.bridge"] {
         site.issue(&party(name), &[], 365, Existing::Keep).unwrap();
@@ -126,7 +126,7 @@ fn those_with_a_certificate_are_found_again() {
 }
 
 #[test]
-fn the_key_of_another_authority_is_noticed() {
+fn key_of_another_authority_is_rejected() {
     let ((_folder, site), (_other, other)) = (site(), site());
     std::fs::copy(
         other.folder.join(AUTHORITY_KEY_FILE),
@@ -141,7 +141,7 @@ fn the_key_of_another_authority_is_noticed() {
 }
 
 #[test]
-fn a_folder_without_an_authority_is_no_site() {
+fn folder_without_an_authority_is_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let error = SiteFolder::open(folder.path()).unwrap_err().to_string();
     assert!(
@@ -151,7 +151,7 @@ fn a_folder_without_an_authority_is_no_site() {
 }
 
 #[test]
-fn which_router_is_asked_where_there_are_several() {
+fn several_routers_require_a_router_name() {
     let (_folder, site) = site();
     assert!(matches!(
         site.router(None),

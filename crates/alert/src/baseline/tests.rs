@@ -25,7 +25,7 @@ fn estimate(mean: f64, std: f64) -> ParameterEstimate {
 }
 
 #[test]
-fn scatter_between_records_widens_the_reference() {
+fn variance_between_records_increases_the_reference_variance() {
     // m = 0.9, 1.0, 1.1: b² = 0.01, and s_r² = 0.01·4/3.
     let records = [record(0.9, 0.02), record(1.0, 0.02), record(1.1, 0.02)];
     let reference = estimated(&records).unwrap().reference("storey-1").unwrap();
@@ -39,7 +39,7 @@ fn scatter_between_records_widens_the_reference() {
 }
 
 #[test]
-fn one_record_knows_no_scatter_and_is_no_reference_for_another() {
+fn one_record_gives_no_reference_without_a_stated_deviation() {
     let baseline = estimated(&[record(0.9, 0.02)]).unwrap();
     assert!(matches!(
         baseline.claim("storey-1"),
@@ -54,7 +54,7 @@ fn one_record_knows_no_scatter_and_is_no_reference_for_another() {
 }
 
 #[test]
-fn stated_scatter_makes_one_record_a_reference() {
+fn one_record_gives_a_reference_with_a_stated_deviation() {
     // σ_b = 0.05, v = 0.02², n = 1: s_r² = 2·0.0025 + 0.0004.
     let baseline = stated(&[record(0.9, 0.02)], 0.05).unwrap();
     let reference = baseline.reference("storey-1").unwrap();
@@ -63,7 +63,7 @@ fn stated_scatter_makes_one_record_a_reference() {
 }
 
 #[test]
-fn stated_scatter_that_the_records_contradict_is_refused() {
+fn stated_deviation_that_the_records_contradict_is_rejected() {
     // b = 0.0707 with one degree of freedom: χ²/1 = 50 for a stated scatter of 0.01, and 2 for
     // 0.05.
     let records = [record(0.9, 1e-6), record(1.0, 1e-6)];
@@ -91,7 +91,7 @@ fn stated_scatter_that_the_records_contradict_is_refused() {
 }
 
 #[test]
-fn scatter_too_large_for_so_few_records_is_no_reference() {
+fn two_records_far_apart_give_no_reference() {
     let baseline = estimated(&[record(0.3, 0.01), record(1.0, 0.01)]).unwrap();
     assert!(
         matches!(
@@ -152,7 +152,7 @@ fn bound_of_99_percent_is_exceeded_by_about_one_percent_of_sound_records() {
 /// With two records and a true scatter of 10 %, 2.2 % of sound records exceed a bound of 0.99. 20
 /// 000 draws determine that share to 0.1 %.
 #[test]
-fn bound_of_99_percent_is_nearly_kept_by_structures_that_scatter_much() {
+fn at_most_2_5_percent_of_sound_records_exceed_the_99_percent_bound_at_large_deviations() {
     const DRAWS: u32 = 20_000;
     let mut random = ChaCha8Rng::seed_from_u64(2);
     for (n, scatter) in [(2_usize, 0.05), (2, 0.1), (3, 0.05), (3, 0.1)] {
@@ -206,7 +206,7 @@ fn interval_of_a_loss_ends_where_its_probability_is_0_975_and_0_025() {
 }
 
 #[test]
-fn two_records_cannot_raise_what_ten_can() {
+fn two_records_have_a_wider_99_percent_bound_than_ten() {
     // Two records differ by 0.03, with the scatter limited to 0.25: a bound of 0.99 lies 0.24935
     // below (a sum over σ by hand). Without the limit it would be 31.8·0.026. For ten records with
     // the same b, it is 2.82·0.0222.
@@ -274,7 +274,7 @@ fn version_1(records: usize, between_std: f64) -> String {
 }
 
 #[test]
-fn file_of_version_1_is_read_as_what_its_records_support() {
+fn file_of_version_1_gives_a_reference_only_if_its_records_suffice() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("baseline.json");
     std::fs::write(&path, version_1(3, 0.04)).unwrap();
@@ -301,7 +301,7 @@ fn file_of_version_1_is_read_as_what_its_records_support() {
 }
 
 #[test]
-fn file_of_another_version_is_refused_with_both_named() {
+fn error_names_both_versions_of_a_file_of_another_version() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("baseline.json");
     std::fs::write(
@@ -323,14 +323,14 @@ fn parameter_too_uncertain_to_be_a_reference_is_named() {
 }
 
 #[test]
-fn frames_of_unequal_length_are_no_record() {
+fn frames_of_unequal_length_give_no_record() {
     assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![]]).is_none());
     assert!(RecordSummary::from_estimates([vec![(1.0, 0.1)], vec![(1.0, 0.1); 2]]).is_none());
     assert!(RecordSummary::from_estimates(Vec::<Vec<(f64, f64)>>::new()).is_none());
 }
 
 #[test]
-fn file_holds_what_the_sensors_show_and_the_change_without_each() {
+fn file_contains_sensor_references_and_the_change_without_each_sensor() {
     let sensor = |gain| SensorReference {
         channel: "roof".to_owned(),
         gain,

@@ -134,7 +134,7 @@ fn sustained_loss_is_pending_then_raised_after_the_sustain_time() {
 }
 
 #[test]
-fn interrupted_loss_starts_its_sustain_time_anew() {
+fn interrupted_loss_restarts_its_sustain_time() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..9, SOFT, SURE)
@@ -147,7 +147,7 @@ fn interrupted_loss_starts_its_sustain_time_anew() {
 }
 
 #[test]
-fn loss_that_is_not_sure_enough_is_not_raised() {
+fn loss_of_too_low_probability_is_not_raised() {
     // 7 % loss with 2 % standard deviation: Φ((0.95 − 0.93)/0.02) = Φ(1) = 0.84.
     let mut drive = Drive::new(rule());
     assert_eq!(drive.estimates(0..100, 0.93, 0.02).states(), []);
@@ -160,7 +160,7 @@ fn sustain_time_of_zero_raises_at_once() {
 }
 
 #[test]
-fn raised_alert_does_not_flap_around_the_credibility() {
+fn probability_near_the_credibility_does_not_toggle_a_raised_alert() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..11, SOFT, SURE);
     for second in 11..100 {
@@ -202,7 +202,7 @@ fn acknowledged_alert_clears_to_normal() {
 }
 
 #[test]
-fn cleared_alert_that_nobody_saw_waits_for_its_acknowledgement() {
+fn unacknowledged_cleared_alert_stays_cleared_until_its_acknowledgement() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
@@ -219,7 +219,7 @@ fn cleared_alert_that_nobody_saw_waits_for_its_acknowledgement() {
 }
 
 #[test]
-fn cleared_alert_that_nobody_saw_can_be_raised_again() {
+fn unacknowledged_cleared_alert_can_be_raised_again() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
@@ -232,7 +232,7 @@ fn cleared_alert_that_nobody_saw_can_be_raised_again() {
 }
 
 #[test]
-fn acknowledgement_of_nothing_has_no_effect() {
+fn acknowledgement_without_a_raised_alert_has_no_effect() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..5, SOFT, SURE);
     assert!(!drive.acknowledge());
@@ -265,7 +265,7 @@ fn second_acknowledgement_does_not_replace_the_first() {
 }
 
 #[test]
-fn gap_and_restart_reset_what_is_pending() {
+fn gap_and_restart_reset_a_pending_alert() {
     for interruption in [Input::Gap, Input::Restart] {
         let mut drive = Drive::new(rule());
         drive
@@ -277,7 +277,7 @@ fn gap_and_restart_reset_what_is_pending() {
 }
 
 #[test]
-fn pending_alert_that_a_gap_ended_is_told_to_be_normal() {
+fn pending_alert_is_announced_as_normal_after_a_gap() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..9, SOFT, SURE)
@@ -332,7 +332,7 @@ fn learnt_reference_carries_its_uncertainty() {
 }
 
 #[test]
-fn restart_while_learning_forgets_what_was_learnt() {
+fn restart_while_learning_restarts_the_reference() {
     let mut drive = Drive::new(rule().with_learnt_reference(60.0).unwrap());
     drive
         .estimates(0..50, 0.2, 0.01)
@@ -343,7 +343,7 @@ fn restart_while_learning_forgets_what_was_learnt() {
 }
 
 #[test]
-fn reference_that_is_too_uncertain_is_learnt_on() {
+fn learning_continues_while_the_reference_is_too_uncertain() {
     let mut drive = Drive::new(rule().with_learnt_reference(10.0).unwrap());
     drive.estimates(0..20, 0.9, 0.5);
     assert_eq!(drive.states(), [(Learns, 0)]);
@@ -356,7 +356,7 @@ fn reference_that_is_too_uncertain_is_learnt_on() {
 }
 
 #[test]
-fn alert_says_what_how_much_how_sure_and_since_when() {
+fn alert_states_part_loss_probability_and_start() {
     let mut drive = Drive::new(rule());
     // Loss 14.2 % ± 1.1 %: interval 14.2 ∓ 1.96·1.1 = 12.0 to 16.4 %. m = 0.858 against 0.95.
     drive.estimates(61..72, 0.858, 0.011);
@@ -376,7 +376,7 @@ fn alert_says_what_how_much_how_sure_and_since_when() {
 }
 
 #[test]
-fn state_restored_anywhere_goes_on_alike() {
+fn state_restored_at_any_second_gives_the_same_alerts() {
     let run = |restore_at: Option<i64>| {
         let mut drive = Drive::new(rule().with_learnt_reference(5.0).unwrap());
         for second in 0..60 {

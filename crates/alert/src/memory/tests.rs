@@ -106,6 +106,22 @@ fn comments_formatting_and_what_concerns_no_alert_change_nothing() {
 }
 
 #[test]
+fn checkpoint_read_under_the_same_rules_is_not_a_change() {
+    let mut state = new(&tower(RULE));
+    let mut decisions = state.watch.decisions().to_vec();
+    decisions[1] = decisions[1]
+        .clone()
+        .with_changes_without(vec![None, Some(0.04)]);
+    state.watch = Watch::from_decisions(2, decisions);
+    second_of(&mut state, [1.0, 0.86]);
+    let read: AlertState = postcard::from_bytes(&postcard::to_stdvec(&state).unwrap()).unwrap();
+    assert_ne!(state, read);
+    assert!(state.is_stored_like(&read));
+    second_of(&mut state, [1.0, 0.86]);
+    assert!(!state.is_stored_like(&read));
+}
+
+#[test]
 fn a_rule_beside_it_or_before_it_costs_no_acknowledgement() {
     let other = RULE.replace("0.05", "0.3");
     for rules in [format!("{other}{RULE}"), format!("{RULE}{other}")] {

@@ -86,7 +86,7 @@ impl Bench {
 }
 
 #[test]
-fn structure_whose_sensors_deliver_and_whose_filter_learns_is_watched() {
+fn structure_with_samples_and_a_learning_filter_is_watched() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |_| true);
     let display = bench.judge(Duration::ZERO);
@@ -107,7 +107,7 @@ fn structure_without_estimates_is_blind() {
 }
 
 #[test]
-fn estimates_that_cease_to_arrive_make_the_structure_blind() {
+fn structure_is_blind_when_estimates_cease() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |_| true);
     assert_eq!(bench.judge(Duration::from_secs(2)).state, State::Watching);
@@ -116,7 +116,7 @@ fn estimates_that_cease_to_arrive_make_the_structure_blind() {
 }
 
 #[test]
-fn sensors_of_which_a_third_of_the_samples_is_used_degrade_the_structure_with_the_share() {
+fn a_third_of_used_samples_degrades_the_structure_and_is_reported() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |frame| frame % 3 == 0);
     let display = bench.judge(Duration::ZERO);
@@ -138,7 +138,7 @@ fn sensors_without_usable_samples_make_the_structure_blind() {
 }
 
 #[test]
-fn filter_that_learns_nothing_makes_its_parameters_blind_although_the_estimate_is_narrow() {
+fn narrow_estimate_is_blind_if_the_filter_learns_nothing() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |_| true);
     bench.run(10, 1e6, |_| true);
@@ -149,11 +149,11 @@ fn filter_that_learns_nothing_makes_its_parameters_blind_although_the_estimate_i
         .iter()
         .find(|one| one.parameter.as_str() == "storey-1");
     let why = of_rule.unwrap().why.clone().unwrap();
-    assert!(why.contains("rests on earlier data"), "{why}");
+    assert!(why.contains("depends on earlier data"), "{why}");
 }
 
 #[test]
-fn reasons_belong_to_the_state_until_another_state_is_confirmed() {
+fn state_keeps_its_reasons_until_the_next_state_is_confirmed() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |frame| frame % 3 == 0);
     bench.judge(Duration::ZERO);
@@ -164,7 +164,7 @@ fn reasons_belong_to_the_state_until_another_state_is_confirmed() {
 }
 
 #[test]
-fn slow_estimates_may_be_as_far_apart_as_three_of_their_periods() {
+fn slow_estimates_may_be_three_periods_apart() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |_| true);
     bench.monitoring.rate_hz = 0.5;
@@ -173,7 +173,7 @@ fn slow_estimates_may_be_as_far_apart_as_three_of_their_periods() {
 }
 
 #[test]
-fn state_changes_at_the_second_judgement_and_reports_the_change_once() {
+fn state_changes_at_the_second_judgement_and_is_reported_once() {
     let mut bench = Bench::new();
     bench.run(10, 0.001, |_| true);
     bench.judge(Duration::ZERO);
@@ -194,4 +194,42 @@ fn state_changes_at_the_second_judgement_and_reports_the_change_once() {
         (State::Watching, State::Blind)
     );
     assert_eq!(change.display.since_ns, 3_000_000_000);
+}
+
+#[test]
+fn wrong_clock_of_a_node_is_named() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    let mut status = Status {
+        structure: Name::new("tower").unwrap(),
+        service: Name::new("ingest").unwrap(),
+        id: Name::new("ingest").unwrap(),
+        time_ns: 0,
+        lag_s: None,
+        pace: None,
+        state: None,
+        done: 0,
+        load: None,
+        frames_behind: None,
+        fit: None,
+        undecided: std::collections::BTreeMap::new(),
+        instruments: std::collections::BTreeMap::new(),
+        clocks: std::collections::BTreeMap::new(),
+        maintenance: Vec::new(),
+        drops: std::collections::BTreeMap::new(),
+        restarts: 0,
+        version: String::new(),
+    };
+    let clock = spandrel_bus::NodeClock {
+        difference_s: Some(-3600.0),
+        ..spandrel_bus::NodeClock::default()
+    };
+    status.clocks.insert(Name::new("roof").unwrap(), clock);
+    bench.monitoring.take_clocks(&status);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.state, State::Degraded, "{display:?}");
+    assert_eq!(
+        display.reasons[0],
+        "the clock of roof is 3600.0 s behind most nodes"
+    );
 }

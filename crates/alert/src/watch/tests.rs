@@ -73,7 +73,7 @@ fn alerts_of(watch: &mut Watch, block: &EstimateBlock) -> Vec<Alert> {
 }
 
 #[test]
-fn displayed_losses_are_those_of_the_decisions_at_the_display_rate() {
+fn displayed_losses_equal_those_of_the_decisions() {
     // A reference of 0.9 as from a baseline: 0.82 has lost 8.9 % of it, but 18 % of the design.
     let rule = Rule::new(0.10, 0.95, 0.5, 0.05).unwrap();
     let rule = rule.with_reference(Reference::new(0.9, 0.01).unwrap());
@@ -129,7 +129,7 @@ fn each_parameter_and_rule_decides_on_its_own() {
 }
 
 #[test]
-fn most_severe_rule_stands_for_its_parameter() {
+fn most_severe_rule_gives_the_state_of_its_parameter() {
     let mut watch = watch();
     alerts_of(
         &mut watch,
@@ -156,7 +156,7 @@ fn most_severe_rule_stands_for_its_parameter() {
 }
 
 #[test]
-fn what_has_not_changed_stands_as_the_first_rule_of_its_parameter_says() {
+fn unannounced_state_is_that_of_the_first_rule_of_the_parameter() {
     let stands = |watch: &Watch, parameter| {
         watch
             .unannounced(parameter)
@@ -186,7 +186,7 @@ fn what_has_not_changed_stands_as_the_first_rule_of_its_parameter_says() {
 }
 
 #[test]
-fn training_frames_decide_nothing() {
+fn no_alert_is_decided_during_training() {
     let mut watch = watch();
     let found = alerts_of(
         &mut watch,
@@ -244,7 +244,7 @@ fn frames_are_counted_as_decided_or_not() {
 }
 
 #[test]
-fn missing_estimates_and_another_epoch_reset_what_is_pending() {
+fn missing_estimates_and_another_epoch_reset_a_pending_alert() {
     for (epoch, sequence) in [(1, 5), (2, 1), (2, 4)] {
         let mut watch = watch();
         let soft = vec![estimate([0.86, 1.0], 0.01, Phase::Working); 4];
@@ -279,7 +279,7 @@ fn block_of_another_structure_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn message_carries_the_numbers_and_is_accepted_by_the_bus() {
+fn message_contains_the_numbers_and_the_bus_accepts_it() {
     let mut watch = watch();
     let found = alerts_of(
         &mut watch,
@@ -382,7 +382,7 @@ fn rules_of_the_structure_file_give_the_reference() {
 }
 
 #[test]
-fn baseline_stands_in_for_learning_only() {
+fn baseline_replaces_only_a_learnt_reference() {
     let baseline = tower_baseline("tower");
     let (mean, std) =
         reference_used(&tower("reference = { learn-s = 60 }"), Some(&baseline)).unwrap();
@@ -443,7 +443,7 @@ proptest! {
 }
 
 #[test]
-fn estimate_without_a_sensor_is_as_uncertain_as_the_baseline_has_measured() {
+fn change_without_a_sensor_in_the_baseline_adds_to_the_deviation() {
     // The change without row 1 is known, and that without row 0 is 15 % of the estimate.
     let mut watch = watch();
     let decision = watch.decisions.remove(0);

@@ -124,7 +124,7 @@ fn blocks_in_order_are_delivered_at_once_and_nothing_is_fetched() {
 }
 
 #[test]
-fn a_lost_block_is_fetched_and_what_came_after_it_is_kept() {
+fn lost_block_is_fetched_and_later_blocks_are_kept() {
     let mut rig = Rig::new(Start::Beginning, 100, 2);
     let first = rig.put(2);
     rig.put(2);
@@ -138,7 +138,7 @@ fn a_lost_block_is_fetched_and_what_came_after_it_is_kept() {
 }
 
 #[test]
-fn a_block_that_came_twice_is_delivered_once() {
+fn repeated_block_is_delivered_once() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     let block = rig.put(3);
     rig.live(block.clone());
@@ -157,7 +157,7 @@ fn a_late_reader_gets_everything_from_the_beginning() {
 }
 
 #[test]
-fn a_reader_from_now_gets_only_what_comes() {
+fn reader_that_starts_now_gets_only_new_items() {
     let mut rig = Rig::new(Start::Now, 100, 3);
     rig.put(5);
     rig.settle();
@@ -167,7 +167,7 @@ fn a_reader_from_now_gets_only_what_comes() {
 }
 
 #[test]
-fn a_reader_goes_on_where_its_checkpoint_was() {
+fn reader_resumes_from_its_checkpoint() {
     let start = Start::At {
         epoch: 1,
         sequence: 4,
@@ -218,7 +218,7 @@ fn a_lost_end_without_items_is_found_when_idle() {
 }
 
 #[test]
-fn what_the_source_has_forgotten_is_an_explicit_gap() {
+fn items_dropped_by_the_source_are_an_explicit_gap() {
     let mut rig = Rig::new(Start::Beginning, 2, 10);
     rig.put(2);
     rig.put(2);
@@ -235,7 +235,7 @@ fn what_the_source_has_forgotten_is_an_explicit_gap() {
 }
 
 #[test]
-fn a_source_that_is_gone_leaves_an_explicit_gap_after_a_few_tries() {
+fn absent_source_leaves_a_gap_after_the_maximum_number_of_failures() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     let first = rig.put(1);
     rig.put(1);
@@ -252,7 +252,7 @@ fn a_source_that_is_gone_leaves_an_explicit_gap_after_a_few_tries() {
 // Regression test: eight attempts took 5.5 s, and the items buffered after the gap were too late
 // for their frames.
 #[test]
-fn a_source_that_nobody_answers_for_leaves_a_gap_after_three_tries() {
+fn source_without_buffer_leaves_a_gap_after_three_queries() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     let first = rig.put(1);
     rig.put(1);
@@ -308,7 +308,7 @@ fn a_new_epoch_ends_the_wait_for_the_old_one() {
 }
 
 #[test]
-fn an_answer_of_the_old_epoch_does_not_disturb_the_new_one() {
+fn reply_of_the_old_epoch_does_not_affect_the_new_one() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     rig.live(frames(1, 0, 1));
     rig.live(frames(1, 2, 1));
@@ -323,7 +323,7 @@ fn an_answer_of_the_old_epoch_does_not_disturb_the_new_one() {
 }
 
 #[test]
-fn a_block_that_its_source_denies_is_not_believed() {
+fn block_that_its_source_does_not_have_is_dropped() {
     // A source stores everything in its buffer before publishing it.
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     rig.live(frames(1, 5, 1)); // never in the ring
@@ -401,7 +401,7 @@ fn run(rig: &mut Rig, steps: &[Step]) {
 
 proptest! {
     #[test]
-    fn every_item_is_delivered_once_and_in_order_whatever_is_dropped(
+    fn every_item_is_delivered_once_and_in_order_despite_losses(
         steps in vec(step(), 0..120),
         limit in 1u64..20,
     ) {
@@ -411,7 +411,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_not_delivered_is_in_a_gap(
+    fn every_item_is_delivered_or_in_a_gap(
         steps in vec(step(), 0..120),
         limit in 1u64..20,
         capacity in 1u64..20,
@@ -427,7 +427,7 @@ proptest! {
 }
 
 #[test]
-fn a_block_numbered_beyond_the_end_of_its_source_is_not_believed() {
+fn block_beyond_the_end_of_its_source_is_dropped() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     let first = rig.put(2);
     rig.live(first);
@@ -443,7 +443,7 @@ fn a_block_numbered_beyond_the_end_of_its_source_is_not_believed() {
 }
 
 #[test]
-fn an_answer_to_what_was_asked_before_a_block_came_says_nothing_of_it() {
+fn reply_to_an_earlier_query_does_not_discard_a_later_block() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
     let first = rig.put(2);
     rig.live(first);
@@ -464,7 +464,7 @@ fn an_answer_to_what_was_asked_before_a_block_came_says_nothing_of_it() {
 }
 
 #[test]
-fn of_a_source_that_keeps_nothing_only_what_is_lost_is_missing() {
+fn source_without_buffer_loses_only_the_lost_blocks() {
     // The source publishes 40 blocks per second. Missing items are abandoned within 5.5 s.
     const BLOCKS_PER_FAILURE: u64 = 28;
     let mut rig = Rig::new(Start::Beginning, 100, 10);
@@ -514,7 +514,7 @@ fn caught_up(epoch: u64, sequence: u64) -> Answer<FrameBlock> {
 // Regression test: after eight attempts, the reader abandoned items that ingest, back after ten
 // seconds, still had on disk.
 #[test]
-fn of_a_source_that_keeps_its_items_nothing_is_given_up_while_it_is_away() {
+fn items_of_a_buffering_source_are_not_abandoned_during_its_absence() {
     let mut rig = patient(10);
     let first = rig.put(1);
     rig.put(1);
@@ -532,7 +532,7 @@ fn of_a_source_that_keeps_its_items_nothing_is_given_up_while_it_is_away() {
 }
 
 #[test]
-fn of_such_a_source_only_what_it_denies_is_given_up() {
+fn only_items_missing_at_a_buffering_source_are_abandoned() {
     let mut rig = patient(10);
     rig.live(frames(1, 0, 1));
     rig.live(frames(1, 5, 1));
@@ -548,7 +548,7 @@ fn of_such_a_source_only_what_it_denies_is_given_up() {
 }
 
 #[test]
-fn what_is_left_of_an_epoch_comes_before_the_next_one() {
+fn remaining_items_of_an_epoch_precede_the_next_epoch() {
     let mut rig = patient(10);
     rig.live(frames(1, 0, 2));
     rig.live(frames(2, 0, 1)); // two frames before it were lost
@@ -577,7 +577,7 @@ fn what_is_left_of_an_epoch_comes_before_the_next_one() {
 }
 
 #[test]
-fn a_later_epoch_of_which_its_source_knows_nothing_is_not_believed() {
+fn later_epoch_unknown_to_its_source_is_dropped() {
     let mut rig = patient(10);
     rig.live(frames(1, 0, 2));
     rig.live(frames(9, 0, 1));
@@ -596,7 +596,7 @@ fn a_later_epoch_of_which_its_source_knows_nothing_is_not_believed() {
 }
 
 #[test]
-fn a_later_epoch_is_taken_up_where_nobody_can_be_asked() {
+fn later_epoch_is_accepted_if_the_source_has_no_buffer() {
     let mut rig = patient(10);
     rig.live(frames(1, 0, 2));
     rig.live(frames(2, 0, 3));
@@ -655,7 +655,7 @@ fn delivered(actions: &mut VecDeque<Action<EstimateBlock>>) -> Vec<(u64, u64, u6
 }
 
 #[test]
-fn who_leads_in_a_higher_term_goes_on_with_the_stream_and_the_one_before_is_refused() {
+fn leader_of_a_higher_term_continues_the_stream_and_the_former_leader_is_rejected() {
     let (mut follower, mut actions) = (
         Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
         VecDeque::new(),
@@ -676,7 +676,7 @@ fn who_leads_in_a_higher_term_goes_on_with_the_stream_and_the_one_before_is_refu
 }
 
 #[test]
-fn of_two_in_one_term_the_first_is_read() {
+fn first_of_two_sources_in_one_term_is_read() {
     let (mut follower, mut actions) = (
         Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
         VecDeque::new(),
@@ -694,7 +694,7 @@ fn of_two_in_one_term_the_first_is_read() {
 }
 
 #[test]
-fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
+fn reply_of_the_former_leader_is_queried_again_without_a_gap() {
     let (mut follower, mut actions) = (
         Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
         VecDeque::new(),
@@ -716,7 +716,7 @@ fn what_the_one_before_answers_is_asked_for_again_and_nothing_is_given_up() {
 }
 
 #[test]
-fn what_was_kept_while_standing_by_is_answered_in_the_term_of_the_lead() {
+fn blocks_stored_as_standby_are_sent_in_the_term_of_the_leader() {
     let mut ring = Ring::<EstimateBlock>::new("b".into(), 1, Keep::last(100))
         .going_on(5, StreamState::Running);
     let block = estimates(0, "b", 5, 3);
@@ -731,4 +731,162 @@ fn what_was_kept_while_standing_by_is_answered_in_the_term_of_the_lead() {
         epoch: Some(1),
     };
     assert_eq!(ring.answer(&range), Answer::Block(estimates(9, "b", 5, 3)));
+}
+
+/// Returns a block of an epoch with a second of items, one per second.
+fn second(epoch: u64, number: u64) -> FrameBlock {
+    let mut block = frames(epoch, number, 1);
+    block.header.time_ns = number as i64 * 1_000_000_000;
+    block
+}
+
+/// Returns epoch and number of each delivered item.
+fn delivered_items(rig: &Rig) -> Vec<(u64, u64)> {
+    let item = |delivery: &Delivery<FrameBlock>| match delivery {
+        Delivery::Block(block) => Some((block.header.epoch, block.header.sequence)),
+        Delivery::Gap(_) => None,
+    };
+    rig.got.iter().filter_map(item).collect()
+}
+
+// The real node was refused after every restart, until its clock passed the epoch.
+#[test]
+fn source_that_a_higher_epoch_has_locked_out_is_read_again() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(second(7, 0));
+    // Another program runs under the same name for a while, with its clock in the future.
+    for number in 0..5 {
+        rig.live(second(9, number));
+        rig.fail_with(Silence::NoBuffer);
+        rig.live(second(7, 1 + number));
+    }
+    let locked_out = rig.follower.counts().clone();
+    for number in 6..40 {
+        rig.live(second(7, number));
+    }
+    let items = delivered_items(&rig);
+    assert_eq!(items[..6], [(7, 0), (9, 0), (9, 1), (9, 2), (9, 3), (9, 4)]);
+    let again = items[6];
+    assert!(again.0 == 7 && again.1 <= 16, "{again:?}");
+    assert_eq!(
+        items[6..],
+        (again.1..40).map(|n| (7, n)).collect::<Vec<_>>()
+    );
+    assert_eq!(locked_out.stale_blocks, 5, "{locked_out:?}");
+    assert_eq!(rig.follower.counts().locked_out_blocks, again.1 - 6);
+}
+
+#[test]
+fn checkpoint_of_a_higher_epoch_locks_a_source_out_for_seconds_only() {
+    let start = Start::At {
+        epoch: u64::MAX,
+        sequence: 4,
+    };
+    let mut rig = Rig::new(start, 100, 3);
+    for number in 0..20 {
+        rig.live(second(7, number));
+    }
+    let first = delivered_items(&rig)[0];
+    assert!(first.0 == 7 && first.1 < 10, "{first:?}");
+}
+
+#[test]
+fn blocks_that_a_former_run_has_in_transit_do_not_bring_it_back() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(second(1, 0));
+    rig.live(second(2, 0));
+    for number in 1..9 {
+        rig.live(second(1, number));
+    }
+    rig.live(second(2, 1));
+    for number in 9..17 {
+        rig.live(second(1, number));
+    }
+    assert_eq!(delivered_items(&rig), [(1, 0), (2, 0), (2, 1)]);
+}
+
+#[test]
+fn epoch_and_term_after_the_last_possible_one_are_impossible() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(1, 0, 1));
+    for epoch in [u64::MAX, 1 << 63] {
+        rig.live(frames(epoch, 0, 1));
+    }
+    rig.live(frames(1, 1, 1));
+    assert_eq!(
+        (rig.items(), rig.follower.counts().impossible_blocks),
+        (all(0..2), 2)
+    );
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
+    follower.live(estimates(7, "a", 0, 3), &mut actions);
+    follower.live(estimates(u64::MAX, "b", 3, 3), &mut actions);
+    follower.live(estimates(7, "a", 3, 3), &mut actions);
+    assert_eq!(delivered(&mut actions), [(0, 3, 7), (3, 6, 7)]);
+    assert_eq!(follower.counts().impossible_blocks, 1);
+}
+
+// A single forged block excluded the node until its clock passed the epoch.
+#[test]
+fn epoch_that_the_source_denies_is_dropped() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    let first = rig.put(2);
+    rig.live(first);
+    rig.live(frames(9, 0, 1));
+    rig.answer(); // the source has never begun epoch 9
+    rig.settle();
+    let second = rig.put(2);
+    rig.live(frames(9, 1, 1));
+    rig.live(second);
+    rig.settle();
+    let blocks = rig.got.iter().filter_map(|delivery| match delivery {
+        Delivery::Block(block) => Some((block.header.epoch, block.header.sequence)),
+        Delivery::Gap(_) => None,
+    });
+    assert_eq!(blocks.collect::<Vec<_>>(), [(1, 0), (9, 0), (1, 2)]);
+    assert_eq!(rig.follower.counts().impossible_blocks, 2);
+}
+
+#[test]
+fn epoch_that_the_source_confirms_is_read_at_once() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.live(frames(0, 0, 2));
+    let first = rig.put(1);
+    rig.live(first);
+    rig.put(1); // lost
+    rig.settle();
+    assert_eq!(delivered_items(&rig), [(0, 0), (1, 0), (1, 1)]);
+    assert_eq!(rig.follower.counts().impossible_blocks, 0);
+}
+
+// Alert was deaf until its restart.
+#[test]
+fn leader_that_a_forged_term_has_excluded_is_read_again_and_nothing_is_lost() {
+    let (mut follower, mut actions) = (
+        Follower::new(Start::Beginning, 100, Patience::UntilAnswered),
+        VecDeque::new(),
+    );
+    follower.live(estimates(7, "a", 0, 200), &mut actions);
+    follower.live(estimates(1 << 62, "b", 200, 1), &mut actions);
+    for number in 1..20 {
+        follower.live(estimates(7, "a", 200 * number, 200), &mut actions);
+    }
+    let range = QueryRange {
+        after: 201,
+        limit: 100,
+        epoch: Some(1),
+    };
+    let fetch = actions.iter().find_map(|action| match action {
+        Action::Fetch { range, .. } => Some(*range),
+        Action::Deliver(_) => None,
+    });
+    assert_eq!(fetch, Some(range));
+    follower.answered(Answer::Block(estimates(7, "a", 201, 3799)), &mut actions);
+    let got = delivered(&mut actions);
+    assert_eq!(got[..2], [(0, 200, 7), (200, 201, 1 << 62)]);
+    assert_eq!(got[2..].first().map(|(from, ..)| *from), Some(201));
+    assert_eq!(got.last().map(|(_, end, _)| *end), Some(4000));
+    assert_eq!(follower.counts().gap_items, 0);
 }

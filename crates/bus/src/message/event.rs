@@ -34,9 +34,13 @@ pub enum EventKind {
     ChannelBack,
     /// A large share of the samples of a node does not reach the frames.
     SamplesDropped,
-    /// The samples of such a node reach the frames again.
+    /// The node's samples reach the frames again.
     SamplesBack,
-    /// The watch over a structure is blind, degraded, or complete again.
+    /// The clock of a node differs from that of most nodes, or no majority of the nodes agrees.
+    ClockWrong,
+    /// The clock of such a node agrees again.
+    ClockRight,
+    /// The monitoring became blind, degraded or complete.
     Monitoring,
     /// Maintenance began or ended, so that notices are muted or sent again.
     Maintenance,
@@ -46,6 +50,14 @@ pub enum EventKind {
     Overloaded,
     /// Identification has caught up.
     CaughtUp,
+    /// The history cannot use its database, or had to begin a new file.
+    HistoryUnavailable,
+    /// The history can use its database again.
+    HistoryBack,
+    /// A service cannot save its state, because its folder is gone.
+    StateLost,
+    /// A service can save its state again.
+    StateBack,
 }
 
 /// One event with its reason.

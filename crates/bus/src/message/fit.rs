@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn words_of_the_message_are_those_of_its_json() {
+    fn words_equal_those_of_the_json_message() {
         for verdict in FitVerdict::ALL {
             assert_eq!(
                 serde_json::to_string(&verdict).unwrap(),
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn verdict_in_words_names_its_reasons() {
+    fn text_of_a_verdict_names_its_reasons() {
         let words = display(FitVerdict::Doubtful, &[FitReason::CorrelatedInnovations]).words();
         assert_eq!(
             words,

@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn maintenance_of_a_part_covers_this_part_only() {
+    fn maintenance_of_a_part_covers_only_this_part() {
         let name = |text: &str| Name::new(text).unwrap();
         let all = maintenance(1, "x");
         assert!(all.covers(None) && all.covers(Some(&name("deck"))) && !all.is_end());

@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn learning_references_is_not_a_loss_of_sight() {
+    fn learning_a_reference_is_distinguished_from_other_reasons() {
         let because = |reasons: &[&str]| MonitoringDisplay {
             reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect(),
             ..display()
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn words_name_the_state_and_its_reasons() {
+    fn text_names_the_state_and_its_reasons() {
         assert_eq!(
             display().words(),
             "degraded: 33 % of the samples of roof are used"

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn probabilities_never_read_as_certainty() {
+    fn probabilities_are_never_shown_as_0_or_1() {
         assert_eq!(told(1.0, &[0.99]), pair("above 0.999", "> 99.9 %"));
         assert_eq!(told(0.998_4, &[0.99]), pair("0.998", "99.8 %"));
         assert_eq!(told(1e-9, &[0.99]), pair("below 0.001", "< 0.1 %"));
@@ -142,7 +142,7 @@ mod tests {
     /// Regression test: 0.9899 was displayed as 0.990, next to the state normal of a rule that
     /// requires 0.99.
     #[test]
-    fn what_is_shown_lies_on_the_side_of_what_is_asked_for() {
+    fn displayed_probability_is_on_the_same_side_of_the_threshold() {
         assert_eq!(told(0.9899, &[0.99]), pair("0.9899", "98.99 %"));
         assert_eq!(told(0.989_96, &[0.5, 0.99]), pair("0.98996", "98.996 %"));
         assert_eq!(told(0.99, &[0.99]), pair("0.990", "99.0 %"));
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_tell_the_side_too() {
+    fn displayed_bounds_are_on_the_same_side_of_the_threshold() {
         assert_eq!(told(0.999_6, &[0.999_5]), pair("0.9996", "99.96 %"));
         assert_eq!(told(0.999_6, &[0.999_9]), pair("0.9996", "99.96 %"));
         assert_eq!(

@@ -24,6 +24,10 @@ pub struct NodeClock {
     pub offset_s: f64,
     /// Largest minus smallest deviation of the recent time stamps from evenly spaced samples, s.
     pub jitter_s: f64,
+    /// Clock of the node minus clock of most nodes, s: positive if the node is ahead. Its samples
+    /// are dropped. `None` if its clock agrees with theirs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub difference_s: Option<f64>,
 }
 
 /// Whether a service keeps up with its input.
@@ -156,7 +160,7 @@ pub struct Status {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub instruments: BTreeMap<String, InstrumentStatus>,
     /// When the nodes sample. Only ingest reports it, for nodes that do not sample at the times of
-    /// the frames.
+    /// the frames, or whose clock differs from that of most nodes.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub clocks: BTreeMap<Name, NodeClock>,
     /// Present maintenance of the structure. Only notify reports it.
@@ -214,6 +218,7 @@ impl Message for Status {
         for clock in self.clocks.values() {
             check_finite("clock offset", clock.offset_s)?;
             check_finite("clock jitter", clock.jitter_s)?;
+            check_finite("clock difference", clock.difference_s.unwrap_or(0.0))?;
         }
         check_count("maintenance", self.maintenance.len(), 0, MAX_CHANNELS)?;
         for maintenance in &self.maintenance {
@@ -255,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_word_on_the_pace_counts() {
+    fn newest_reported_pace_counts() {
         let at = |time_ns: i64, pace| Status {
             time_ns,
             ..status(pace)
@@ -269,14 +274,14 @@ mod tests {
     }
 
     #[test]
-    fn a_time_near_1970_is_that_of_a_record_without_dates() {
+    fn time_near_1970_means_a_record_without_dates() {
         assert!(
             is_without_date(0) && is_without_date(-5) && !is_without_date(status(None).time_ns)
         );
     }
 
     #[test]
-    fn a_status_without_pace_is_that_of_before() {
+    fn status_without_pace_and_load_omits_both_fields() {
         let text = String::from_utf8(status(None).encode().unwrap()).unwrap();
         for word in ["pace", "load", "frames_behind"] {
             assert!(!text.contains(word), "{text}");

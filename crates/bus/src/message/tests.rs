@@ -96,7 +96,7 @@ fn encoding_names_type_and_version() {
 }
 
 #[test]
-fn another_version_is_refused_with_both_names() {
+fn error_names_both_encodings_of_another_version() {
     let payload = frames(0, vec![1.0, 2.0]).encode().unwrap();
     let error =
         FrameBlock::decode("application/postcard;spandrel.frames.v2", &payload).unwrap_err();
@@ -125,7 +125,7 @@ fn trailing_bytes_are_refused() {
 }
 
 #[test]
-fn truncated_bytes_are_refused_wherever_they_end() {
+fn bytes_truncated_at_any_length_are_rejected() {
     let payload = estimates(2).encode().unwrap();
     for end in 0..payload.len() {
         let error = EstimateBlock::decode(&EstimateBlock::encoding(), &payload[..end]).unwrap_err();
@@ -155,7 +155,7 @@ fn values_must_fill_whole_frames() {
 }
 
 #[test]
-fn missing_values_travel_and_infinite_ones_do_not() {
+fn missing_values_are_encoded_and_infinite_values_are_rejected() {
     let decoded = FrameBlock::decode(
         &FrameBlock::encoding(),
         &frames(0, vec![f64::NAN, 2.0]).encode().unwrap(),
@@ -212,7 +212,7 @@ fn item_bytes_bound_the_encoded_size() {
 }
 
 #[test]
-fn skipped_samples_take_their_time_along() {
+fn skipping_samples_advances_number_and_time() {
     let mut block = samples(10, 0, 4);
     block.skip(2);
     assert_eq!(block.header.sequence, 12);
@@ -236,7 +236,7 @@ fn blocks_after_a_gap_in_number_or_time_are_not_appended() {
 }
 
 #[test]
-fn truncation_takes_the_end_of_the_epoch_away() {
+fn truncation_removes_the_end_of_the_epoch() {
     let mut block = estimates(3);
     block.truncate(3);
     assert_eq!(block.state, StreamState::Ended);
@@ -245,7 +245,7 @@ fn truncation_takes_the_end_of_the_epoch_away() {
 }
 
 #[test]
-fn json_messages_survive_the_way_there_and_back() {
+fn json_messages_are_decoded_unchanged() {
     let message = parameter();
     let payload = message.encode().unwrap();
     let encoding = ParameterDisplay::encoding();
@@ -256,7 +256,7 @@ fn json_messages_survive_the_way_there_and_back() {
 }
 
 #[test]
-fn json_of_a_script_needs_no_schema() {
+fn json_without_a_schema_is_accepted() {
     let text = br#"{"structure":"tower","parameter":"storey-2","time_ns":1,"who":"ada"}"#;
     let message = Acknowledgement::decode("application/json", text).unwrap();
     assert_eq!(message.who, "ada");
@@ -274,7 +274,7 @@ fn json_with_an_invalid_name_or_deviation_is_rejected() {
 
 proptest! {
     #[test]
-    fn frames_survive_the_way_there_and_back_to_the_bit(
+    fn frames_are_decoded_bit_for_bit(
         sequence in 0u64..1 << 60,
         epoch: u64,
         t0_ns: i64,
@@ -342,7 +342,7 @@ proptest! {
 }
 
 #[test]
-fn told_samples_come_back_to_the_bit_in_two_bytes_each() {
+fn shared_samples_are_decoded_bit_for_bit_from_two_bytes_each() {
     let exponents = [-9, 3];
     let (small, large) = (2f64.powi(-9), 8.0);
     let samples: Vec<f64> = (0..50)
@@ -386,7 +386,7 @@ fn told_samples_come_back_to_the_bit_in_two_bytes_each() {
 }
 
 #[test]
-fn told_samples_that_cannot_be_are_refused() {
+fn invalid_shared_samples_are_rejected() {
     let local = |told: ToldSamples| LocalMessage {
         header: header(1),
         pace: Pace::Live,

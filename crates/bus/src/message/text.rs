@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_note_may_have_lines_and_a_name_may_not() {
+    fn notes_may_have_several_lines_and_names_may_not() {
         assert_eq!(check_text("note", "first\r\n\tsecond"), Ok(()));
         for (text, found) in [
             ("Ada\0", '\0'),
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_shorter_than_notes() {
+    fn names_have_a_lower_limit_than_notes() {
         let long = "x".repeat(MAX_LABEL_BYTES + 1);
         assert_eq!(check_text("note", &long), Ok(()));
         assert!(matches!(
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_mended_passes_and_what_passes_stays() {
+    fn repaired_text_passes_the_check_and_valid_text_is_unchanged() {
         // A limit falls within one of these two-byte characters.
         for text in [
             "Ada\0",

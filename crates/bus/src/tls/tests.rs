@@ -42,7 +42,7 @@ fn refused(tls: &TlsConfig, parts: &[&str]) {
 }
 
 #[test]
-fn what_belongs_together_is_accepted() {
+fn matching_files_are_accepted() {
     files(4000).tls.check().unwrap();
 }
 
@@ -60,7 +60,7 @@ fn each_missing_file_is_named() {
 }
 
 #[test]
-fn files_without_the_section_are_named() {
+fn error_names_a_file_without_its_pem_section() {
     for (file, what) in [
         ("own.pem", "certificate"),
         ("own.key", "key"),
@@ -73,7 +73,7 @@ fn files_without_the_section_are_named() {
 }
 
 #[test]
-fn damaged_files_are_named_and_not_quoted() {
+fn error_names_a_damaged_file_without_quoting_it() {
     for (file, label) in [
         ("own.pem", "CERTIFICATE"),
         ("own.key", "PRIVATE KEY"),

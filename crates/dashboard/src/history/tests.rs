@@ -17,7 +17,7 @@ fn refused(asked: Asked) -> Refused {
 }
 
 #[test]
-fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
+fn span_contains_the_requested_number_of_points() {
     let store = heard();
     let asked = Asked {
         series: Some("parameter/storey-1".into()),
@@ -39,7 +39,7 @@ fn a_span_has_what_lies_in_it_in_as_many_points_as_asked_for() {
 }
 
 #[test]
-fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
+fn csv_rows_have_one_time_and_empty_fields_for_missing_values() {
     let store = heard();
     let asked = Asked {
         series: Some("parameter/storey-1,loss/storey-2".into()),
@@ -61,7 +61,7 @@ fn rows_of_a_file_have_one_time_and_empty_fields_where_nothing_was_measured() {
 }
 
 #[test]
-fn times_of_a_file_are_of_the_calendar_and_those_of_a_record_without_dates_in_seconds() {
+fn csv_times_are_dates_or_seconds_for_a_record_without_dates() {
     for (time_ns, text) in [
         (1_709_208_000_000_000_000, "2024-02-29T12:00:00Z"),
         (1_709_208_000_250_000_000, "2024-02-29T12:00:00.25Z"),
@@ -73,7 +73,7 @@ fn times_of_a_file_are_of_the_calendar_and_those_of_a_record_without_dates_in_se
 }
 
 #[test]
-fn numbers_of_a_file_are_short_and_read_back_as_the_same() {
+fn csv_numbers_are_short_and_parsed_back_bit_for_bit() {
     for (value, text) in [
         (1.0, "1"),
         (-0.25, "-0.25"),
@@ -94,7 +94,7 @@ fn numbers_of_a_file_are_short_and_read_back_as_the_same() {
 }
 
 #[test]
-fn a_span_may_be_named_by_the_calendar() {
+fn span_may_be_given_in_dates() {
     let store = heard();
     let of = |from: &str, to: &str| {
         let asked = Asked {
@@ -108,7 +108,7 @@ fn a_span_may_be_named_by_the_calendar() {
 }
 
 #[test]
-fn what_has_not_come_yet_is_empty_and_no_mistake() {
+fn series_without_values_is_empty_and_no_error() {
     let store = demo();
     let asked = Asked {
         series: Some("parameter/storey-3,consistency/all,noise/floors".into()),
@@ -123,7 +123,7 @@ fn what_has_not_come_yet_is_empty_and_no_mistake() {
 }
 
 #[test]
-fn what_cannot_be_asked_is_refused_with_what_can() {
+fn error_lists_the_allowed_values_of_a_request() {
     let unknown = refused(Asked {
         series: Some("parameter/storey-9".into()),
         ..Asked::default()
@@ -165,7 +165,7 @@ fn what_cannot_be_asked_is_refused_with_what_can() {
 }
 
 #[test]
-fn what_lies_before_is_asked_of_the_history_and_put_before() {
+fn earlier_values_are_queried_from_the_history_and_prepended() {
     let mut store = demo();
     for second in 1_000..1_100 {
         hear(&mut store, "storey-1", second * SECOND, 1.0, 0.25);

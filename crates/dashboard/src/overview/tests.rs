@@ -1,8 +1,8 @@
 use super::*;
 use crate::testing::{alert, at, demo, fit, hear, monitoring, name, present, undecided};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, Progress, Status,
-    StreamState,
+    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, ParameterMonitoring,
+    Progress, Status, StreamState,
 };
 use spandrel_listener::Input;
 
@@ -80,6 +80,38 @@ fn only_a_report_that_damage_would_be_noticed_makes_a_structure_normal() {
     store.handle(at(10.0));
     hear(&mut store, "storey-1", 2, 1.0, 0.001);
     assert_eq!(overview(&store).level, Level::Undecided);
+}
+
+#[test]
+fn acknowledged_alert_does_not_hide_a_blind_structure() {
+    let mut store = demo();
+    hear(&mut store, "storey-1", 1, 1.0, 0.001);
+    store.handle(Input::Alert(alert("storey-1", 1, AlertState::Acknowledged)));
+    store.handle(Input::Alert(alert("storey-2", 1, AlertState::Normal)));
+    store.handle(monitoring(MonitoringState::Watching));
+    assert_eq!(overview(&store).level, Level::Notice);
+    let Input::Monitoring(mut display) = monitoring(MonitoringState::Blind) else {
+        unreachable!()
+    };
+    display.channels.clear();
+    display.parameters = vec![ParameterMonitoring {
+        parameter: name("storey-2"),
+        state: MonitoringState::Blind,
+        why: Some("no samples".into()),
+        sustained_std: None,
+    }];
+    store.handle(Input::Monitoring(display));
+    let found = overview(&store);
+    assert_eq!(found.level, Level::Warning);
+    assert!(
+        found.sentence.starts_with("blind: 33 %"),
+        "{}",
+        found.sentence
+    );
+    let unwatched: Vec<_> = crate::view::standing_alerts(&store)
+        .map(|alert| alert.unwatched.map(|of| of.state))
+        .collect();
+    assert_eq!(unwatched, [None, Some(MonitoringState::Blind)]);
 }
 
 #[test]

@@ -2,7 +2,7 @@ use super::*;
 use crate::testing::{alert, at, demo, hear, name};
 
 #[test]
-fn names_that_the_structure_file_does_not_have_are_left_out() {
+fn names_missing_in_the_structure_file_are_ignored() {
     let mut store = demo();
     hear(&mut store, "storey-99", 0, 1.0, 0.0);
     store.handle(Input::Alert(alert("storey-99", 0, AlertState::Raised)));
@@ -11,7 +11,7 @@ fn names_that_the_structure_file_does_not_have_are_left_out() {
 }
 
 #[test]
-fn that_all_is_well_at_first_is_no_change() {
+fn initial_normal_state_is_no_change() {
     let mut store = demo();
     store.handle(Input::Alert(alert("storey-1", 0, AlertState::Normal)));
     assert!(store.changes.is_empty());
@@ -22,7 +22,7 @@ fn that_all_is_well_at_first_is_no_change() {
 }
 
 #[test]
-fn a_note_belongs_to_the_person_who_acknowledged() {
+fn note_is_shown_only_for_the_person_who_acknowledged() {
     let mut store = demo();
     let seen = |who: &str| Acknowledgement {
         structure: name("demo"),
@@ -42,7 +42,7 @@ fn a_note_belongs_to_the_person_who_acknowledged() {
 }
 
 #[test]
-fn a_reader_gets_each_point_once_and_many_at_a_time_combined() {
+fn client_receives_each_point_once_and_many_points_combined() {
     let mut store = demo();
     let mut read = BTreeMap::new();
     (0..1_000).for_each(|time| hear(&mut store, "storey-1", time, 1.0, 0.0));
@@ -55,7 +55,7 @@ fn a_reader_gets_each_point_once_and_many_at_a_time_combined() {
 }
 
 #[test]
-fn lists_keep_no_more_than_they_promise() {
+fn lists_are_bounded() {
     let mut store = demo();
     for time_ns in 0..2_000 {
         let state = if time_ns % 2 == 0 {
@@ -81,7 +81,7 @@ fn lists_keep_no_more_than_they_promise() {
 }
 
 #[test]
-fn data_are_old_after_a_silence() {
+fn data_are_stale_after_three_seconds_without_a_value() {
     let mut store = demo();
     store.handle(at(10.0));
     assert!(!store.is_stale(), "nothing has come yet");

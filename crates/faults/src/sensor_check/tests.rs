@@ -84,7 +84,7 @@ fn with_fault(
 }
 
 #[test]
-fn sound_sensors_stay_sound_whatever_the_stiffness() {
+fn sound_sensors_stay_sound_at_any_stiffness() {
     for stiffness in [
         "[2720, 2300, 2360]",
         "[1088, 2300, 2360]",
@@ -107,7 +107,7 @@ fn sound_sensors_stay_sound_whatever_the_stiffness() {
 }
 
 #[test]
-fn gain_sign_and_delay_are_named_with_their_size() {
+fn changes_of_gain_sign_and_delay_are_reported_with_their_size() {
     let (fault, suspected) = with_fault(FLOOR_2, |n, sound| 0.6 * sound[n][FLOOR_2]);
     let Some(Fault::Gain(factor)) = fault else {
         panic!("{fault:?}")
@@ -132,7 +132,7 @@ fn gain_sign_and_delay_are_named_with_their_size() {
 }
 
 #[test]
-fn dead_sensors_and_other_motions_are_named() {
+fn dead_and_disturbed_sensors_are_detected() {
     let (fault, suspected) = with_fault(FLOOR_2, |n, _| if n % 2 == 0 { 0.005 } else { -0.005 });
     assert_eq!((fault, suspected), (Some(Fault::Dead), vec![FLOOR_2]));
     // The motion of another time.
@@ -141,7 +141,7 @@ fn dead_sensors_and_other_motions_are_named() {
 }
 
 #[test]
-fn structure_that_moves_without_its_ground_puts_only_the_ground_in_doubt() {
+fn only_the_ground_is_suspected_if_the_structure_moves_without_it() {
     let (fault, suspected) = with_fault(0, |_, _| 0.0);
     assert_eq!((fault, suspected), (Some(Fault::Dead), vec![0]));
 }
@@ -158,7 +158,7 @@ fn noise(size: f64) -> impl FnMut() -> f64 {
 }
 
 #[test]
-fn motion_of_a_single_sensor_is_in_doubt_at_once() {
+fn sensor_that_moves_alone_is_in_doubt_at_once() {
     let mut quiet = noise(1e-3);
     let mut frames: Vec<Vec<f64>> = (0..2400)
         .map(|_| (0..4).map(|_| quiet()).collect())
@@ -193,7 +193,7 @@ fn sensor_that_agrees_again_is_sound_again() {
 }
 
 #[test]
-fn learnt_references_narrow_what_counts_as_sound() {
+fn learnt_references_make_smaller_faults_detectable() {
     let structure = table(&[]);
     let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
     let (check, _) = checked(&frames(&structure));
@@ -258,7 +258,7 @@ fn dead_sensors_of_the_whole_structure_are_in_doubt_while_the_ground_moves() {
 }
 
 #[test]
-fn samples_that_are_all_zero_or_missing_prove_nothing() {
+fn zero_or_missing_samples_give_no_result() {
     for value in [0.0, f64::NAN] {
         let (check, changes) = checked(&vec![vec![value; 4]; 6000]);
         assert_eq!(changes, []);
@@ -280,7 +280,7 @@ fn samples_that_are_all_zero_or_missing_prove_nothing() {
 }
 
 #[test]
-fn one_of_two_sensors_with_opposite_signs_is_in_doubt_but_not_which() {
+fn two_sensors_with_opposite_signs_are_both_suspected_and_neither_is_faulty() {
     let mut frames = frames(&table(&[]));
     for values in &mut frames {
         values[1] *= -1.0;
@@ -296,7 +296,7 @@ fn one_of_two_sensors_with_opposite_signs_is_in_doubt_but_not_which() {
 }
 
 #[test]
-fn wind_that_moves_the_floors_by_their_height_accuses_no_floor() {
+fn wind_puts_no_floor_in_doubt() {
     let mut noise = noise(1e-3);
     let wind = |t: f64| -> f64 {
         let tones = [1.1, 1.45, 1.8, 2.15, 2.5];

@@ -5,7 +5,7 @@ use crate::calibration::Calibration;
 use crate::core_input::{Link, Recorded};
 use crate::gap::GapReport;
 use crate::lines::LineFormat;
-use crate::source_plan::{NodePlan, SourceKind, SourcePlan, StructurePlan};
+use crate::source_plan::{ConditionPlan, NodePlan, SourceKind, SourcePlan, StructurePlan};
 
 /// 100 Hz.
 const STEP: i64 = 10_000_000;
@@ -43,6 +43,15 @@ fn feed() -> Feed {
             stamps: Stamps::Source { jitter_s: 0.0 },
             wait_s: 1.0,
             channels: vec![channel("EHZ", 0), channel("ENZ", 1)],
+            conditions: vec![ConditionPlan {
+                label: "LKI".to_owned(),
+                structure: 0,
+                name: "air".to_owned(),
+                unit: "degC",
+                range: Some((-40.0, 60.0)),
+                interval_s: None,
+                calibration: Calibration::new(10.0, 0.0, 1.0),
+            }],
         }],
         remarks: Vec::new(),
     };
@@ -279,4 +288,44 @@ fn late_channel_is_reported_and_the_other_is_published() {
     feed.handle(Input::Tick, at(SECOND), &mut out);
     let late = lost(&out);
     assert_eq!((late[0].samples, late[0].because), (25, LostBecause::Late));
+}
+
+#[test]
+fn conditions_beside_channels_are_returned_once_and_wrong_ones_are_errors() {
+    let (mut feed, mut out) = (feed(), Vec::new());
+    let temperature = |time_ns: i64, tenths: f64| Packet {
+        label: "LKI".to_owned(),
+        start_ns: Some(time_ns),
+        rate_hz: None,
+        values: vec![tenths],
+    };
+    let stored = Input::Stored {
+        source: 0,
+        condition: 0,
+        newest_ns: T0 - SECOND,
+    };
+    feed.handle(stored, at(0), &mut out);
+    let packets = vec![
+        temperature(T0 - SECOND, 200.0),
+        temperature(T0, 215.0),
+        temperature(T0, 215.0),
+        temperature(T0 + 1, 9990.0),
+    ];
+    let input = Input::Packets { source: 0, packets };
+    feed.handle(input, at(0), &mut out);
+    let values: Vec<&Output> = out
+        .iter()
+        .filter(|output| matches!(output, Output::Condition { .. }))
+        .collect();
+    let expected = Output::Condition {
+        source: 0,
+        condition: 0,
+        time_ns: T0,
+        value: 21.5,
+    };
+    assert_eq!(values, [&expected]);
+    let status = feed.status(0).unwrap();
+    assert_eq!((status.samples, status.errors), (1, 1));
+    assert_eq!(feed.drops(0)["repeated-conditions"], 2);
+    assert!(feed.seen(0).unwrap().1.is_empty(), "it is mapped");
 }

@@ -47,6 +47,15 @@ enum Origin {
     Arrival,
 }
 
+/// What the times of a source belong to.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Stamped {
+    /// At least one channel of a node.
+    Channels,
+    /// Conditions only. Their times need no rate, so arrival times may deviate.
+    Conditions,
+}
+
 /// Names of the kinds.
 pub(super) const KINDS: [(&str, Kind); 8] = [
     ("udp", Kind::Udp),
@@ -189,6 +198,7 @@ impl Reading<'_> {
         &mut self,
         section: &mut Section<'_>,
         kind: Option<&SourceKind>,
+        stamped: Stamped,
     ) -> Option<Stamps> {
         let mistakes = &mut self.mistakes;
         let stated = section.choice("time", &ORIGINS, mistakes);
@@ -214,6 +224,9 @@ impl Reading<'_> {
                 jitter_s: jitter_s.unwrap_or(0.0),
             }),
             (Origin::Arrival, Some(jitter_s)) => Some(Stamps::Arrival { jitter_s }),
+            (Origin::Arrival, None) if stamped == Stamped::Conditions => {
+                Some(Stamps::Arrival { jitter_s: 0.0 })
+            }
             (Origin::Arrival, None) => {
                 let allowed = "must state how far arrival times may deviate, in seconds, because \
                                the time of the samples is their arrival";
@@ -264,11 +277,10 @@ pub(super) enum Columns {
 /// Reads the format of the lines.
 pub(super) fn line_format(
     section: &mut Section<'_>,
-    mut fields: Vec<String>,
+    fields: Vec<String>,
     source_of_columns: Columns,
     mistakes: &mut Vec<Mistake>,
 ) -> Option<LineFormat> {
-    fields.dedup();
     let before = mistakes.len();
     let format = section.choice("format", &FORMATS, mistakes);
     if format.is_none() && mistakes.len() == before {

@@ -109,7 +109,7 @@ kind = "pigeon"
         "spandrel.toml: feed.source[1].channel[0].sensitivity: is missing, must be the counts",
         "spandrel.toml: feed.source[2].name: is missing",
         "spandrel.toml: feed.source[2].kind: is \"pigeon\", must be one of \"udp\"",
-        "spandrel.toml: feed.source[2].channel: is missing, must have at least one channel",
+        "spandrel.toml: feed.source[2].channel: is missing, must have at least one channel, [[feed",
     ];
     for line in expected {
         assert!(text.contains(line), "expected {line}\nfound\n{text}");
@@ -139,4 +139,81 @@ sensitivity = 1
     let expected = "feed.source[0].channel[1].channel: is \"roof\" again, must be a channel that \
                     feed.source[0].channel[0].channel does not feed";
     assert!(wrong.unwrap_err().to_string().contains(expected));
+}
+
+#[test]
+fn units_of_structure_files_are_those_of_the_messages() {
+    let of_messages: Vec<&str> = spandrel_bus::ConditionDisplay::units().collect();
+    assert_eq!(of_messages, spandrel_structure::Condition::UNITS);
+}
+
+const AIR: &str =
+    "[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\ninterval-s = 600\n";
+
+fn check_with_air(text: &str) -> Result<FeedConfig, FeedError> {
+    let house = format!("{HOUSE}\n{AIR}");
+    let structure = Structure::parse(&house, Path::new("house.toml")).unwrap();
+    let mut settings: FeedSettings = toml::from_str(text).unwrap();
+    settings.resolve(Path::new("spandrel.toml"));
+    settings.check(&[&structure])
+}
+
+#[test]
+fn condition_has_the_unit_range_and_interval_of_the_structure_file() {
+    let config = check_with_air(
+        r#"
+[[source]]
+name = "mast"
+kind = "stdin"
+format = "csv"
+columns = ["t"]
+[[source.condition]]
+source = "t"
+condition = "air"
+sensitivity = 10
+offset = 400
+"#,
+    )
+    .unwrap();
+    let mast = &config.sources[0];
+    // No channel needs a rate, so the source needs no jitter.
+    assert_eq!(mast.stamps, Stamps::Arrival { jitter_s: 0.0 });
+    let air = &mast.conditions[0];
+    assert_eq!((air.unit, air.range), ("degC", Some((-40.0, 60.0))));
+    assert_eq!(air.calibration.si_from_number(615.0, 0), Some(21.5));
+    assert_eq!(mast.silent_after_s(), Some(1200.0));
+    assert!(config.feeds(0) && config.nodes.is_empty());
+}
+
+#[test]
+fn condition_has_one_source_and_must_be_declared() {
+    let wrong = check_with_air(
+        r#"
+[[source]]
+name = "mast"
+kind = "udp"
+address = "0.0.0.0:8888"
+format = "json"
+[[source.condition]]
+source = "t"
+condition = "air"
+[[source.condition]]
+source = "u"
+condition = "air"
+[[source.condition]]
+source = "v"
+condition = "wind"
+"#,
+    );
+    let text = wrong.unwrap_err().to_string();
+    for expected in [
+        "feed.source[0].condition[1].condition: is \"air\" again, must be a condition that \
+         feed.source[0].condition[0].condition does not feed",
+        "feed.source[0].condition[2].condition: is \"wind\", must be one of air (house)",
+    ] {
+        assert!(
+            text.contains(expected),
+            "expected {expected}\nfound\n{text}"
+        );
+    }
 }

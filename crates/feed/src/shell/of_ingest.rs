@@ -22,7 +22,12 @@ impl FeedService {
     /// Queries the frames that exist already, for each structure that ingest records.
     pub(super) async fn recorded(&self) -> BTreeMap<usize, Recorded> {
         let mut recorded = BTreeMap::new();
-        for of in self.structures.iter().filter(|of| !of.is_distributed) {
+        let has_nodes = |of: &&FedStructure| {
+            let mut nodes = self.core.config().nodes.iter();
+            nodes.any(|node| node.structure == of.index)
+        };
+        let ingested = self.structures.iter().filter(|of| !of.is_distributed);
+        for of in ingested.filter(has_nodes) {
             let found = self.recorded_of(of).await;
             let structure = of.keys.structure().as_str();
             match found {

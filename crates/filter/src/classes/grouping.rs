@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn order_of_groups_makes_no_other_partition() {
+    fn order_of_groups_does_not_change_the_partition() {
         let grouping = |groups: &[&[usize]]| {
             Grouping::new(groups.iter().map(|g| g.to_vec()).collect(), 4).unwrap()
         };

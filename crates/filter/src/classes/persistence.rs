@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn lead_lasts_after_as_many_steps_on_end() {
+    fn lead_persists_after_the_required_number_of_consecutive_steps() {
         let leaders = [0; 5].into_iter().chain([1; 20]).map(Some);
         for rule in [PersistenceRule::Consecutive, PersistenceRule::Share] {
             assert_eq!(first_lead(leaders.clone(), rule), Some((15, 1)));
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn tie_begins_anew() {
+    fn tie_restarts_the_count() {
         let leaders = [Some(1); 9].into_iter().chain([None]).chain([Some(1); 10]);
         assert_eq!(
             first_lead(leaders, PersistenceRule::Consecutive),
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn classes_that_take_turns_are_acted_on_by_share_only() {
+    fn alternating_classes_persist_only_by_share() {
         // Class 1 leads in two of three steps, class 2 in the third.
         let leaders = (0..400).map(|step| Some(if step % 3 == 2 { 2 } else { 1 }));
         assert_eq!(
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn rare_interruptions_do_not_delay_by_share() {
+    fn rare_interruptions_delay_no_decision_by_share() {
         let leaders = (1..400).map(|step| Some(if step % 10 == 0 { 0 } else { 2 }));
         assert_eq!(
             first_lead(leaders.clone(), PersistenceRule::Consecutive),
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn baseline_that_leads_at_times_holds_the_others_back() {
+    fn baseline_leading_in_between_prevents_a_decision_by_share() {
         let leaders = (0..400).map(|step| Some([1, 2, 0][step % 3]));
         assert_eq!(first_lead(leaders, PersistenceRule::Share), None);
     }

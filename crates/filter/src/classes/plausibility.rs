@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn logarithms_give_what_bayes_gives() {
+    fn logarithms_agree_with_bayes_rule() {
         // ch5 §5 A1: with plain probabilities, and with evidences that underflow as probabilities
         let (prior, evidences) = ([0.2, 0.3, 0.5], [-3.0, -1.0, -2.0]);
         let joint: Vec<f64> = prior
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn floor_lifts_three_of_five_and_keeps_the_sum() {
+    fn floor_raises_three_of_five_and_keeps_the_sum() {
         // ch5 §5 A2: scaling the others pushes a third class below the floor
         let mut plausibilities =
             Plausibilities::from_probabilities(&[0.9998, 1.5e-4, 1e-30, 4.99e-5, 1e-5]);
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn floor_lets_a_class_come_back_at_once() {
+    fn floor_shortens_the_return_of_a_class() {
         // ch5 §5 A3: without a floor, the return takes as long as the former lead. With a floor, it
         // takes ln(9999)/0.05 steps.
         let delay = switching_delay(2000, 0.05, 0.0);
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_class_is_the_least_plausible_and_comes_back() {
+    fn lost_class_is_the_least_plausible_and_can_lead_again() {
         let mut plausibilities = Plausibilities::uniform(3);
         plausibilities.update(&[0.0, f64::NEG_INFINITY, -5.0], 0.0);
         assert!(plausibilities.logarithms()[1].is_finite());

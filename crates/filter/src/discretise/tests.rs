@@ -108,7 +108,7 @@ fn series_agrees_with_the_augmented_exponential() {
 }
 
 #[test]
-fn increment_of_the_mean_is_that_of_the_remainder_form() {
+fn increment_of_the_mean_agrees_with_the_remainder_form() {
     // ch2 §5 check 2: y + Γ g = A_i y + δ_i with δ_i = Γ (g − A_y y).
     let model = oscillator(40.0);
     let y = DVector::from_row_slice(&[0.4, -1.0, 0.7]);
@@ -144,7 +144,7 @@ fn covariance_is_that_of_two_dense_products() {
 }
 
 #[test]
-fn step_above_the_largest_is_cut() {
+fn step_above_the_maximum_is_divided() {
     assert_eq!(Series::choose(10.0, 0.01).substeps, 1);
     assert_eq!(Series::choose(1000.0, 0.01).substeps, 7);
     assert_eq!(Series::choose(f64::NAN, 0.01).substeps, 1);

@@ -114,7 +114,7 @@ fn run(filter: &mut ExtendedKalmanFilter<Linear>, frames: std::ops::Range<usize>
 }
 
 #[test]
-fn without_parameters_and_fading_it_is_the_kalman_filter() {
+fn filter_without_parameters_and_fading_is_the_kalman_filter() {
     // ch2 §5 check 3
     let linear = two_oscillators();
     let (transition, input) = LinearModel::discretise(&linear.system, &linear.input, 0.01);
@@ -311,7 +311,7 @@ fn known_excitation_moves_the_prediction() {
 }
 
 #[test]
-fn quiet_stretch_does_not_wind_up() {
+fn variance_stays_bounded_without_data() {
     let mut settings = settings();
     settings.fading = FadingFactor::from_half_life(20.0).unwrap();
     settings.variance_bound = DVector::repeat(4, 0.04);
@@ -328,7 +328,7 @@ fn quiet_stretch_does_not_wind_up() {
 }
 
 #[test]
-fn forgotten_motion_is_as_uncertain_as_it_has_been_large() {
+fn variance_of_forgotten_motion_is_its_mean_square() {
     // The prior is much narrower than the motion, so that the motion determines the result.
     const PRIOR_STD: f64 = 1e-4;
     let mut settings = settings();
@@ -368,7 +368,7 @@ fn forgotten_motion_is_as_uncertain_as_it_has_been_large() {
 }
 
 #[test]
-fn frame_of_the_wrong_size_is_refused_and_leaves_the_filter_as_it_was() {
+fn frame_of_the_wrong_size_is_rejected_and_the_filter_is_unchanged() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
     run(&mut filter, 0..10);
     let before = filter.state().clone();
@@ -390,7 +390,7 @@ fn frame_of_the_wrong_size_is_refused_and_leaves_the_filter_as_it_was() {
 }
 
 #[test]
-fn absurd_datum_is_an_error_and_not_a_published_nan() {
+fn infinite_datum_is_an_error_and_the_filter_can_restart() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
     run(&mut filter, 0..10);
     let error = filter
@@ -525,7 +525,7 @@ proptest::proptest! {
     /// Limits that nothing exceeds leave every bit unchanged, for any linear system, memory and
     /// rule.
     #[test]
-    fn infinite_thresholds_are_no_screening(
+    fn infinite_thresholds_change_no_bit(
         n in 2_usize..7,
         entries in proptest::collection::vec(-1.0_f64..1.0, 64),
         data in proptest::collection::vec(proptest::option::weighted(0.9, -3.0_f64..3.0), 120),
@@ -587,7 +587,7 @@ proptest::proptest! {
     ///
     /// This covers the noise levels under each rule and the outlier screening.
     #[test]
-    fn checkpoint_at_any_step_changes_nothing(
+    fn resuming_at_any_step_is_bit_identical(
         stop in 1_usize..600,
         rule in any_rule(),
         screens: bool,
@@ -611,7 +611,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn order_of_channels_changes_rounding_only(
+    fn order_of_channels_changes_only_rounding(
         entries in proptest::collection::vec(-1.0_f64..1.0, 64),
         data in proptest::collection::vec(-3.0_f64..3.0, 80),
     ) {
@@ -651,7 +651,7 @@ fn screened(upper: f64) -> FilterSettings {
 }
 
 #[test]
-fn screening_that_rejects_nothing_leaves_every_bit() {
+fn screening_without_rejections_changes_no_bit() {
     let plain = FilterSettings {
         outliers: None,
         ..screened(f64::INFINITY)
@@ -672,7 +672,7 @@ fn screening_that_rejects_nothing_leaves_every_bit() {
 }
 
 #[test]
-fn spike_is_rejected_and_all_spikes_make_a_prediction() {
+fn spike_is_rejected_and_a_frame_of_spikes_is_a_prediction() {
     let mut filter = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();
     run(&mut filter, 0..600);
     let mut spiked = filter.clone();
@@ -714,7 +714,7 @@ fn spike_is_rejected_and_all_spikes_make_a_prediction() {
 }
 
 #[test]
-fn screened_filter_resumes_to_the_bit() {
+fn screened_filter_resumes_bit_for_bit() {
     for stop in [1, 150, 199, 200, 201, 450] {
         let mut unbroken = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();
         run(&mut unbroken, 0..stop);
@@ -730,7 +730,7 @@ fn screened_filter_resumes_to_the_bit() {
 }
 
 #[test]
-fn limits_that_exclude_everything_are_refused() {
+fn limits_without_a_value_between_them_are_rejected() {
     for limit in [1.0, f64::NAN] {
         let mut settings = settings();
         settings.lower[2] = limit;
@@ -758,7 +758,7 @@ fn restart_in_mid_motion_does_not_assume_rest() {
 }
 
 #[test]
-fn innovation_covariance_that_is_singular_is_mended_by_jitter() {
+fn jitter_repairs_a_singular_innovation_covariance() {
     // Two channels with the same signal and no noise: `S` has rank 1.
     let mut model = two_oscillators();
     model.observation = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);

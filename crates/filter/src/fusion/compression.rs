@@ -407,7 +407,7 @@ mod tests {
     ///
     /// A node that has learnt one parameter would claim information about all parameters.
     #[test]
-    fn a_scalar_weight_claims_what_was_not_learnt() {
+    fn scalar_weight_claims_information_that_was_not_learnt() {
         let before = DMatrix::from_diagonal_element(3, 3, 0.04);
         let after = DMatrix::from_diagonal(&DVector::from_row_slice(&[0.0004, 0.04, 0.04]));
         let learnt = |weights: Weights| {

@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_covariance_is_refused() {
+    fn invalid_covariances_are_rejected() {
         let flat = Gaussian {
             mean: DVector::zeros(2),
             covariance: DMatrix::zeros(2, 2),

@@ -86,7 +86,7 @@ fn augmented_exponential_agrees_with_the_inverse_form() {
 }
 
 #[test]
-fn sizes_that_do_not_fit_are_refused() {
+fn wrong_sizes_are_rejected() {
     let error = KalmanFilter::new(model(), DVector::zeros(5), DMatrix::identity(6, 6)).unwrap_err();
     assert_eq!(
         error,

@@ -109,7 +109,7 @@ fn damping_that_couples_the_modes_is_refused() {
 }
 
 #[test]
-fn sizes_that_do_not_fit_are_refused() {
+fn wrong_sizes_are_rejected() {
     let ([mass, damping, stiffness], distribution, observation) = matrices();
     let of = [&mass, &damping, &stiffness];
     let short = observation.columns(0, 5).into_owned();
@@ -245,7 +245,7 @@ fn run<M: ProcessModel + ObservationModel>(
 }
 
 #[test]
-fn constant_transition_gives_what_the_series_gives() {
+fn constant_transition_agrees_with_the_series() {
     let ([mass, damping, stiffness], distribution, observation) = matrices();
     let direct = DMatrix::from_row_slice(2, 2, &[0.5, 0.0, 0.0, 2.0]);
     for direct in [
@@ -404,7 +404,7 @@ fn modal_and_physical_coordinates_give_the_same_estimates() {
 }
 
 #[test]
-fn gap_ages_the_levels_and_nothing_else() {
+fn gap_only_increases_the_variance_of_the_levels() {
     let (_, model) = pair();
     let mut settings = settings(&model, NoiseRule::HalfOrDouble, InputHold::Zero);
     settings.noise_settings.fading = 2f64.powf(2.0 / 1000.0);
@@ -427,7 +427,7 @@ fn gap_ages_the_levels_and_nothing_else() {
 }
 
 #[test]
-fn displacement_that_nothing_observes_winds_up_alone() {
+fn unobserved_displacement_grows_without_effect_on_the_velocity() {
     // Huang & Yuen (2023), chapter 2, §5 check 12: with a half-life of 2000 steps, fading alone
     // multiplies the deviation by 2^75 = 3.8e22 in 150 000 steps. The system is a mass on a
     // dashpot. Its displacement appears in no equation.

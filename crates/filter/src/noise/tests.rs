@@ -250,7 +250,7 @@ fn white_residuals_of_two(
 }
 
 #[test]
-fn memory_that_is_too_short_leaves_training_open_and_the_force_low() {
+fn short_half_life_prolongs_training_and_underestimates_the_force() {
     // ch3 §5, failure signatures: with a half-life of 200 steps, training never ends and the level
     // of the force is too low. With 2000 and 8000 steps, training ends within 5000 steps.
     for (channels, seed) in [(3, 1), (3, 2), (12, 1), (12, 2)] {
@@ -274,7 +274,7 @@ fn memory_that_is_too_short_leaves_training_open_and_the_force_low() {
 }
 
 #[test]
-fn start_of_zero_is_refused() {
+fn start_value_of_zero_is_rejected() {
     let (mut model, _) = random_problem();
     model.parameters[1].start = 0.0;
     let error = model.check(2, 4).unwrap_err();
@@ -466,7 +466,7 @@ impl Printed {
 }
 
 #[test]
-fn two_stage_rule_is_the_printed_method_whatever_its_increments() {
+fn two_stage_rule_does_not_depend_on_its_increments() {
     // Yuen et al. (2013): estimates with relative increments of 1e-2 and 1e-5 agree to 1e-4.
     let (start, least) = ([10.0, 10.0], 300);
     for seed in 1..=3 {
@@ -607,7 +607,7 @@ fn short_half_life_needs_the_positivity_guard() {
 }
 
 #[test]
-fn settings_that_the_two_stage_rule_cannot_have_are_refused() {
+fn invalid_settings_of_the_two_stage_rule_are_rejected() {
     let settings = NoiseSettings {
         rule: NoiseRule::HalfOrDouble,
         ..NoiseSettings::default()
@@ -629,7 +629,7 @@ fn settings_that_the_two_stage_rule_cannot_have_are_refused() {
 }
 
 #[test]
-fn rule_has_its_name_in_files() {
+fn rule_is_read_by_its_name() {
     use serde::de::IntoDeserializer;
     use serde::de::value::{Error, StrDeserializer};
     let name: StrDeserializer<'_, Error> = "half-or-double".into_deserializer();

@@ -88,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn state_goes_through_serialisation_unchanged(seed in 0_u64..1000, stop in 1_usize..400) {
+    fn serialisation_does_not_change_the_state(seed in 0_u64..1000, stop in 1_usize..400) {
         let settings = OutlierSettings { training_steps: 30, fault_window: 50, ..settings(60) };
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = || {
@@ -127,7 +127,7 @@ fn swamping(seed: u64, settings: &OutlierSettings, samples: usize, scale: f64, h
 }
 
 #[test]
-fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
+fn clean_stream_is_rejected_at_the_rate_of_its_window() {
     // The scale is held at 1, then updated, over 120 000 samples. Rejections occur in clusters, and
     // with a window of 10 000 they are rare. With an updated scale, single streams vary by a fifth,
     // so the test uses the mean of eight streams.
@@ -156,7 +156,7 @@ fn a_clean_stream_is_swamped_as_little_as_the_window_allows() {
 }
 
 #[test]
-fn a_first_scale_that_is_a_little_off_is_borne() {
+fn five_percent_error_of_the_first_scale_is_tolerated() {
     // ch7 §5, check 3: eight channels of 20 000 samples, window of 10 000. The first scale is
     // right, 5 % too large or 5 % too small.
     for (scale, low, high) in [(1.0, 0.001, 0.01), (1.05, 0.0, 0.003), (0.95, 0.0, 0.02)] {
@@ -193,7 +193,7 @@ fn without_the_lower_bound_half_of_a_clean_stream_is_rejected() {
 }
 
 #[test]
-fn a_fixed_threshold_flags_as_many_clean_points_as_there_are_points() {
+fn fixed_threshold_flags_the_expected_number_of_clean_points() {
     // The empirical rule that the method replaces: expected counts outside the square [−α, α]² of a
     // bivariate normal.
     for (points, alpha, noise, expected) in [
@@ -278,7 +278,7 @@ fn feed_sensors(steps: usize, sensors: &[usize], factor: impl Fn(usize, usize) -
 
 /// Two sensors of four hardly fail at the same time, so that their samples must not be lost.
 #[test]
-fn samples_of_several_sensors_that_disagree_for_long_are_used_again() {
+fn samples_of_several_disagreeing_sensors_are_used_again() {
     let fed = feed_sensors(3000, &[0, 1, 2, 3], |channel, step| {
         if channel >= 2 && step >= 1000 {
             20.0
@@ -322,7 +322,7 @@ fn a_sensor_of_two_channels_that_disagree_together_is_faulty() {
 }
 
 #[test]
-fn a_short_disturbance_of_all_channels_is_no_change_of_the_structure() {
+fn short_disturbance_of_all_channels_is_no_common_change() {
     // Ten samples, less than half of the time for which a change must last.
     let fed = feed_sensors(3000, &[0, 1, 2, 3], |_, step| {
         if (1000..1010).contains(&step) {
@@ -343,7 +343,7 @@ fn a_short_disturbance_of_all_channels_is_no_change_of_the_structure() {
 }
 
 #[test]
-fn independent_outliers_are_no_change_of_the_structure() {
+fn independent_outliers_are_no_common_change() {
     // A fifth of the samples of each channel, which is more than their initial rate when they occur
     // by chance in several channels at once.
     let random = std::cell::RefCell::new(ChaCha8Rng::seed_from_u64(8));
@@ -357,7 +357,7 @@ fn independent_outliers_are_no_change_of_the_structure() {
 }
 
 #[test]
-fn a_scale_that_is_too_small_is_found_anew() {
+fn too_small_scale_is_estimated_again() {
     // One channel learns its scale in a quiet interval and is five times as noisy afterwards.
     // Without a new estimate, its samples would be rejected permanently.
     let (state, changes) = feed(
@@ -382,7 +382,7 @@ fn a_scale_that_is_too_small_is_found_anew() {
 }
 
 #[test]
-fn a_faulty_channel_is_told_from_the_others_and_taken_back() {
+fn faulty_channel_is_identified_and_used_again_after_its_repair() {
     let broken = 1000..3000;
     let (state, changes) = feed(6000, 3, |channel, step| {
         if channel == 2 && broken.contains(&step) {
@@ -413,7 +413,7 @@ fn a_faulty_channel_is_told_from_the_others_and_taken_back() {
 }
 
 #[test]
-fn motion_that_grows_on_all_channels_is_no_fault_of_sensors() {
+fn growing_motion_on_all_channels_is_no_sensor_fault() {
     let (state, changes) = feed(6000, 4, |_, step| if step < 1000 { 1.0 } else { 20.0 });
     assert!(
         changes
@@ -430,7 +430,7 @@ fn motion_that_grows_on_all_channels_is_no_fault_of_sensors() {
 }
 
 #[test]
-fn dead_and_missing_channels_leave_numbers() {
+fn dead_and_missing_channels_have_a_finite_state() {
     let settings = settings(1000);
     let mut state = OutlierState::new(&settings, &[0, 1]);
     let mut sorted = Vec::new();

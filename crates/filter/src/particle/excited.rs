@@ -564,7 +564,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn factor_of_a_covariance_with_known_inputs_gives_it_back() {
+    fn factor_reproduces_a_covariance_with_known_inputs() {
         // The second input is known.
         let half = DMatrix::from_row_slice(3, 2, &[2.0, 0.0, 0.0, 0.0, -1.0, 0.5]);
         let covariance = &half * half.transpose();

@@ -194,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn root_of_a_covariance_gives_it_back_across_units() {
+    fn root_reproduces_a_covariance_of_different_units() {
         let factor = DMatrix::from_fn(5, 4, |i, j| {
             ((3 * i + 2 * j) as f64).sin() * 10f64.powi(3 * i as i32 - 6)
         });
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_leave_out_particles_without_weight() {
+    fn moments_ignore_particles_without_weight() {
         let states = [1.0, 10.0, f64::NAN, f64::NAN, 3.0, 30.0];
         let weights = [0.25, 0.0, 0.75];
         let (mut mean, mut std) = (DVector::zeros(2), DVector::zeros(2));

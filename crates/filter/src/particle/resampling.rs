@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn multinomial_counts_are_right_on_average_and_never_of_weight_zero() {
+    fn multinomial_counts_are_unbiased() {
         let weights = [0.0, 0.5, 0.3, 0.2, 0.0];
         let mut sums = [0.0; 5];
         let runs = 4000;

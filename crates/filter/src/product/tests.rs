@@ -13,7 +13,7 @@ fn packed(matrix: &DMatrix<f64>) -> Right {
 }
 
 #[test]
-fn product_is_that_of_nalgebra() {
+fn product_agrees_with_nalgebra() {
     // Fewer rows than a register, then strips of every length, full and moved up.
     for (rows, arch) in
         (1..80).flat_map(|rows| all_instructions().into_iter().map(move |arch| (rows, arch)))
@@ -55,7 +55,7 @@ fn product_is_added_to_a_matrix() {
 }
 
 #[test]
-fn entries_outside_the_runs_are_left_out() {
+fn entries_outside_the_runs_are_ignored() {
     let (left, full) = (matrix(20, 20), matrix(20, 6));
     let mut right = Right::new(20, 6, 2);
     right.pack_runs(&full, |columns, runs| {
@@ -75,7 +75,7 @@ fn entries_outside_the_runs_are_left_out() {
 }
 
 #[test]
-fn zeros_of_a_sparse_factor_change_nothing() {
+fn product_with_a_sparse_factor_agrees_with_nalgebra() {
     let left = matrix(20, 20);
     let sparse = DMatrix::from_fn(20, 6, |row, column| {
         if (row * column) % 5 == 1 {
@@ -92,7 +92,7 @@ fn zeros_of_a_sparse_factor_change_nothing() {
 }
 
 #[test]
-fn product_of_bands_is_that_of_nalgebra_and_zero_outside() {
+fn product_of_bands_agrees_with_nalgebra_and_is_zero_outside() {
     let band = |half: usize| {
         DMatrix::from_fn(45, 45, move |i, j| {
             if i.abs_diff(j) <= half {
@@ -136,7 +136,7 @@ fn stacked(first: &DMatrix<f64>, second: &DMatrix<f64>) -> Right {
 }
 
 #[test]
-fn joined_pieces_are_multiplied_as_one_matrix_into_the_columns_and_rows_asked_for() {
+fn joined_pieces_are_multiplied_into_the_requested_columns_and_rows() {
     let (first, second, by_first, by_second) = (
         matrix(21, 9),
         matrix(4, 6),
@@ -214,7 +214,7 @@ fn symmetric_product_is_added_in_place_once_with_the_same_bits_in_both_triangles
 }
 
 #[test]
-fn transposed_product_is_that_of_nalgebra() {
+fn transposed_product_agrees_with_nalgebra() {
     let sizes = [(19, 42), (16, 8), (5, 30), (70, 10)];
     for ((rows, columns), arch) in sizes.iter().flat_map(|size| {
         all_instructions()
@@ -239,7 +239,7 @@ fn transposed_product_is_that_of_nalgebra() {
 /// Checks that rows before the split are transposed, and that the other rows are stored and
 /// mirrored.
 #[test]
-fn split_product_is_turned_and_mirrored() {
+fn split_product_is_transposed_and_mirrored() {
     let (n, split) = (40, 22);
     let (left, right) = (matrix(n, 6), matrix(6, split));
     let (mut turned, mut out) = (DMatrix::zeros(split, split), DMatrix::zeros(n, n));

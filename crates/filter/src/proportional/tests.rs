@@ -379,7 +379,7 @@ fn a_narrow_band_is_stepped_through_the_accelerations() {
 }
 
 #[test]
-fn a_reach_changes_nothing_but_what_is_computed() {
+fn limited_reach_gives_the_same_covariance() {
     // Parameters with two rows each, with none and with all, not in the order of the rows.
     let reach = vec![30..32, 0..2, 12..14, 13..15, 0..0, 0..40];
     let mut narrow = chain(40, reach.len(), 0.4);
@@ -413,7 +413,7 @@ fn a_reach_changes_nothing_but_what_is_computed() {
 
 /// A shorter step has narrower polynomials. No entries of the wider ones may remain.
 #[test]
-fn a_transition_made_anew_is_that_of_a_new_one() {
+fn rediscretised_transition_equals_a_new_one() {
     let (fast, slow) = (chain(40, 3, 1.4), chain(40, 3, 1e-3));
     let mut used = Transition::new(&fast.proportional_form().unwrap());
     let propagated = |transition: &mut Transition, structure: &Structure| {

@@ -71,7 +71,7 @@ fn estimates(outputs: &[Output]) -> Vec<&EstimateBlock> {
 }
 
 #[test]
-fn the_station_says_whether_its_nodes_measure_or_replay() {
+fn station_reports_the_pace_of_its_nodes() {
     for pace in [Pace::Live, Pace::Replayed] {
         let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
         assert_eq!(fusion.pace(), None, "no node has spoken");
@@ -87,7 +87,7 @@ fn the_station_says_whether_its_nodes_measure_or_replay() {
 }
 
 #[test]
-fn replayed_nodes_are_fused_when_all_have_spoken_and_answered_by_name() {
+fn replayed_nodes_are_fused_after_all_messages_and_each_receives_a_reply() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let outputs = run(
         &mut fusion,
@@ -138,7 +138,7 @@ fn replayed_nodes_are_fused_when_all_have_spoken_and_answered_by_name() {
 }
 
 #[test]
-fn a_replaying_node_that_is_gone_is_not_waited_for() {
+fn station_does_not_wait_for_an_absent_replayed_node() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let mut present = vec![true; 16];
     run(&mut fusion, [FusionInput::Present(present.clone())]);
@@ -168,7 +168,7 @@ fn a_replaying_node_that_is_gone_is_not_waited_for() {
 }
 
 #[test]
-fn a_station_that_comes_late_begins_where_the_nodes_are() {
+fn late_station_starts_at_the_present_period_of_the_nodes() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     for index in [5000, 5001, u64::MAX] {
@@ -186,7 +186,7 @@ fn a_station_that_comes_late_begins_where_the_nodes_are() {
 }
 
 #[test]
-fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
+fn live_nodes_are_fused_at_each_tick_with_the_received_messages() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let outputs = run(
         &mut fusion,
@@ -243,7 +243,7 @@ fn live_nodes_are_fused_at_the_ticks_with_what_has_come() {
 }
 
 #[test]
-fn old_messages_and_old_lives_are_refused_and_a_new_life_is_taken() {
+fn stale_messages_and_epochs_are_rejected_and_a_new_epoch_is_accepted() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(
         &mut fusion,
@@ -274,7 +274,7 @@ fn old_messages_and_old_lives_are_refused_and_a_new_life_is_taken() {
 }
 
 #[test]
-fn a_node_that_disagrees_is_left_out_and_told_of_once() {
+fn disagreeing_node_is_excluded_and_reported_once() {
     let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
@@ -313,7 +313,7 @@ fn a_node_that_disagrees_is_left_out_and_told_of_once() {
 }
 
 #[test]
-fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
+fn weights_are_published_and_a_permanently_discounted_node_is_excluded() {
     let file = FILE.replace(
         "detector = \"none\"",
         "detector = \"one-at-a-time\"\nweighting = \"graded\"",
@@ -354,7 +354,7 @@ fn the_weight_of_a_node_is_shown_and_one_that_stays_discounted_is_left_out() {
 }
 
 #[test]
-fn the_last_block_says_that_it_is_the_last() {
+fn last_block_ends_the_stream() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(
         &mut fusion,
@@ -377,7 +377,7 @@ fn the_last_block_says_that_it_is_the_last() {
 /// Regression: one message that claimed to be replayed made the station wait for periods that live
 /// nodes never complete.
 #[test]
-fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
+fn message_with_the_wrong_pace_does_not_stop_fusions_of_live_nodes() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     run(
@@ -410,7 +410,7 @@ fn a_message_that_claims_to_replay_does_not_stop_the_fusions_of_live_nodes() {
 /// Regression: fusions coincided with the arrival of messages from nodes that had started together.
 /// Every few seconds, a fusion missed some of them.
 #[test]
-fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion() {
+fn messages_a_third_of_a_period_early_or_late_are_used_in_each_fusion() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let jitter_ns = [0, -330_000_000, 330_000_000, 50_000_000, -50_000_000];
     let mut outputs = Vec::new();
@@ -440,7 +440,7 @@ fn messages_that_come_a_third_of_a_period_early_or_late_are_heard_in_each_fusion
 
 /// Regression: there was no fusion until the clock had reached its former time again.
 #[test]
-fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
+fn clock_set_back_does_not_stop_the_fusions() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let mut outputs = Vec::new();
     for index in 1..=6 {
@@ -475,7 +475,7 @@ fn a_clock_that_is_set_back_does_not_stop_the_fusions() {
 
 /// Regression: the station lost all information when its clock was set forward.
 #[test]
-fn a_clock_that_is_set_forward_makes_nothing_older() {
+fn clock_set_forward_does_not_age_the_information() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     let mut outputs = Vec::new();
     for index in 1..=6 {
@@ -513,7 +513,7 @@ fn a_clock_that_is_set_forward_makes_nothing_older() {
 }
 
 #[test]
-fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
+fn restarted_station_replies_with_the_estimates_of_the_nodes() {
     let mut fusion = Fusion::new(&structure(), "fuse", 8).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let known = |index| {
@@ -550,7 +550,7 @@ fn a_station_that_is_started_again_answers_with_what_the_nodes_know() {
 }
 
 #[test]
-fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts() {
+fn replayed_nodes_are_fused_by_sample_times_and_not_by_message_numbers() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     // Node 15 started five periods after the others.
@@ -574,7 +574,7 @@ fn replayed_nodes_are_fused_by_the_time_of_their_samples_not_by_their_own_counts
 }
 
 #[test]
-fn variances_alone_are_answered_where_the_file_asks_for_no_more() {
+fn reply_contains_only_variances_if_the_file_requests_it() {
     let file = FILE.replace("[fusion]", "[fusion]\ncovariance = \"variances\"");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
@@ -634,7 +634,7 @@ fn live(
 
 /// Regression: there was no event when a node became silent.
 #[test]
-fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
+fn silence_and_return_of_a_node_are_reported_once_each() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let silent = |second| (10..20).contains(&second);
@@ -681,7 +681,7 @@ fn a_node_that_falls_silent_and_comes_back_is_told_of_once_each() {
 }
 
 #[test]
-fn a_node_without_samples_is_silent_though_its_worker_sends() {
+fn node_without_samples_is_silent_although_its_worker_sends() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     let sends = |node, second| {
@@ -697,7 +697,7 @@ fn a_node_without_samples_is_silent_though_its_worker_sends() {
 }
 
 #[test]
-fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
+fn return_of_an_excluded_node_is_reported() {
     let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();
@@ -722,7 +722,7 @@ fn a_node_that_was_left_out_and_agrees_again_is_told_of() {
 /// Regression: no fusion followed the end of the last nodes, so their displayed state remained that
 /// of the last fusion.
 #[test]
-fn the_last_nodes_that_end_are_told_to_have_ended() {
+fn last_nodes_are_displayed_as_ended() {
     for pace in [Pace::Replayed, Pace::Live] {
         let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
         run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
@@ -764,7 +764,7 @@ fn the_last_nodes_that_end_are_told_to_have_ended() {
 
 /// Regression: the station did not notice that all nodes had disappeared.
 #[test]
-fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
+fn all_nodes_have_ended_without_their_tokens() {
     let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
     live(&mut fusion, 1..4, |_, second| {
@@ -799,7 +799,7 @@ fn all_nodes_have_ended_once_the_tokens_of_all_are_gone() {
 }
 
 #[test]
-fn what_nodes_tell_of_their_channels_is_passed_on_by_name() {
+fn screening_results_of_nodes_are_published_by_channel_name() {
     let file = FILE.replace("[fusion]", "[outliers]\n\n[fusion]");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let mut fusion = Fusion::new(&structure, "fuse", 7).unwrap();

@@ -1,8 +1,8 @@
 use super::*;
 use crate::batch::Collector;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, CredibleInterval, Event, EventKind, LossDisplay,
-    Message as _, ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, ConditionDisplay, CredibleInterval, Event,
+    EventKind, LossDisplay, Message as _, ParameterDisplay,
 };
 use spandrel_listener::Input;
 use spandrel_structure::Structure;
@@ -174,6 +174,121 @@ async fn keeps_and_answers(database: &Database) {
     assert_eq!(nothing.unwrap().kept_from_s, None);
 }
 
+/// Returns a value of the temperature of the air (°C) after `minute` minutes.
+fn air(minute: i64, value: f64) -> ConditionDisplay {
+    ConditionDisplay {
+        structure: name("demo"),
+        name: name("air"),
+        time_ns: START_NS + minute * 60 * SECOND_NS,
+        value,
+        unit: "degC".to_owned(),
+        interval_s: None,
+        instrument: None,
+    }
+}
+
+/// Returns a collector of the demo with an air temperature from -40 to 60 °C.
+fn collector_of_air() -> Collector {
+    let text = include_str!("../../../../docs/examples/demo.toml");
+    let text =
+        format!("{text}\n[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\n");
+    let structure = Structure::parse(&text, Path::new("demo.toml")).unwrap();
+    Collector::new(&structure, "spandrel")
+}
+
+/// Writes values of a condition, some of them again by a second run of the service.
+async fn keeps_a_repeated_condition_once(database: &Database) {
+    for (life, minutes) in [("first", 0..90), ("second", 60..120)] {
+        let mut collector = collector_of_air();
+        let mut batches = Vec::new();
+        for (number, minute) in (1..).zip(minutes) {
+            collector.handle(Input::Condition(air(minute, minute as f64)));
+            batches.extend(collector.take(number).map(Arc::new));
+        }
+        database.write(life, &batches).await.unwrap();
+    }
+    assert_eq!(database.repeated(), 30);
+    let series = Series {
+        kind: Kind::Condition,
+        name: "air".to_owned(),
+    };
+    let keep = Keep {
+        display_s: Some(0),
+        minute_s: Some(0),
+        ..Keep::default()
+    };
+    let read = |query: SpanQuery| {
+        let series = series.clone();
+        async move {
+            let demo = name("demo");
+            let read = database.span(STRUCTURE, &demo, &series, &query);
+            read.await.unwrap()
+        }
+    };
+    let shown = read(SpanQuery::default()).await;
+    assert_eq!(
+        (shown.kind.as_str(), shown.rows.mean.len()),
+        ("condition", 120)
+    );
+    assert_eq!(shown.rows.mean[119], 119.0);
+    let later_ns = START_NS + 86_400 * SECOND_NS;
+    database.prune(STRUCTURE, later_ns, &keep).await.unwrap();
+    let hours = read(SpanQuery::default()).await;
+    assert_eq!(hours.resolution_s, Some(3_600));
+    assert_eq!(hours.rows.count.iter().sum::<u64>(), 120);
+    let sum: f64 = hours
+        .rows
+        .mean
+        .iter()
+        .zip(&hours.rows.count)
+        .map(|(mean, count)| mean * *count as f64)
+        .sum();
+    assert!(
+        (sum - f64::from((0..120).sum::<i32>())).abs() < 1e-6,
+        "{sum}"
+    );
+}
+
+#[tokio::test]
+async fn a_condition_that_a_source_repeats_is_kept_once() {
+    let folder = tempfile::tempdir().unwrap();
+    keeps_a_repeated_condition_once(&file(folder.path()).await).await;
+}
+
+#[test]
+fn a_condition_that_contradicts_the_structure_file_is_rejected_and_counted() {
+    let mut collector = collector_of_air();
+    collector.set_now(START_NS);
+    let wrong_unit = ConditionDisplay {
+        unit: "K".to_owned(),
+        ..air(0, 20.0)
+    };
+    let undeclared = ConditionDisplay {
+        name: name("wind"),
+        ..air(0, 20.0)
+    };
+    for wrong in [wrong_unit, air(0, 61.0), air(2, 20.0), undeclared] {
+        collector.handle(Input::Condition(wrong));
+    }
+    assert!(collector.take(1).is_none());
+    let rejected: Vec<_> = collector
+        .rejected
+        .iter()
+        .map(|(reason, count)| (*reason, *count))
+        .collect();
+    assert_eq!(
+        rejected,
+        [
+            ("ahead-of-clock", 1),
+            ("out-of-range", 1),
+            ("wrong-unit", 1)
+        ]
+    );
+    assert_eq!(collector.unknown, 1);
+    collector.handle(Input::Condition(air(0, 20.0)));
+    assert_eq!(collector.take(1).unwrap().conditions.len(), 1);
+}
+
 fn alert(seconds: i64, state: AlertState) -> AlertMessage {
     AlertMessage {
         structure: name("demo"),
@@ -264,7 +379,7 @@ async fn keeps_what_happened(database: &Database) {
 }
 
 #[tokio::test]
-async fn a_file_keeps_and_answers() {
+async fn sqlite_file_stores_and_returns_the_history() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     keeps_and_answers(&database).await;
@@ -329,13 +444,14 @@ async fn an_alert_that_is_revised_has_two_rows() {
 mod server;
 
 #[tokio::test]
-async fn a_server_keeps_and_answers_and_may_be_away() {
+async fn postgresql_stores_and_returns_the_history_and_may_be_absent() {
     let Some(mut server) = server::Server::start_or_skip() else {
         return;
     };
     let database = Database::new(&Address::Postgres(server.url())).unwrap();
     keeps_and_answers(&database).await;
     keeps_what_happened(&database).await;
+    keeps_a_repeated_condition_once(&database).await;
     server.stop();
     let mut collector = Collector::new(&demo(), "spandrel");
     collector.handle(Input::Alert(alert(10, AlertState::Raised)));
@@ -354,7 +470,7 @@ async fn a_server_keeps_and_answers_and_may_be_away() {
 /// Covers strings that the message checks reject, and sums that overflow, which no check of
 /// messages can detect.
 #[tokio::test]
-async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written() {
+async fn invalid_rows_are_set_aside_and_all_others_are_written() {
     let Some(server) = server::Server::start_or_skip() else {
         return;
     };
@@ -441,7 +557,7 @@ async fn rows_that_a_server_can_never_take_are_set_aside_and_all_others_written(
 /// Covers entries from before names were limited: replies contain them in a form that readers
 /// accept.
 #[tokio::test]
-async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
+async fn stored_names_with_control_characters_are_returned_in_valid_form() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     let mut collector = Collector::new(&demo(), "spandrel");
@@ -474,8 +590,9 @@ async fn what_was_kept_with_a_name_of_before_is_answered_legibly() {
     );
 }
 
+/// Regression: a corrupt file ended the program.
 #[tokio::test]
-async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
+async fn foreign_file_is_set_aside_and_a_new_database_created() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("history.sqlite");
     let text =
@@ -483,9 +600,89 @@ async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
             .repeat(20);
     std::fs::write(&path, &text).unwrap();
     let database = Database::new(&Address::Sqlite(path.clone())).unwrap();
-    let error = database.ready().await.unwrap_err();
-    assert!(error.to_string().contains("history.sqlite"), "{error}");
-    assert_eq!(std::fs::read_to_string(path).unwrap(), text);
+    keeps_and_answers(&database).await;
+    let corrupt = database.take_corrupt();
+    assert_eq!(corrupt.len(), 1);
+    assert_eq!(corrupt[0].path, path);
+    assert_eq!(std::fs::read_to_string(&corrupt[0].aside).unwrap(), text);
+    assert!(database.take_corrupt().is_empty());
+}
+
+#[tokio::test]
+async fn a_file_that_is_damaged_while_it_is_open_is_set_aside() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let path = folder.path().join("history.sqlite");
+    let batches = ten_minutes(&mut Collector::new(&demo(), "spandrel"));
+    database.write("life", &batches[..300]).await.unwrap();
+    database.close().await; // moves the last rows to the file
+    let database = file(folder.path()).await;
+    let length = std::fs::metadata(&path).unwrap().len();
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[4096..].fill(0xa5);
+    std::fs::write(&path, bytes).unwrap();
+    let error = database.write("life", &batches[300..]).await.unwrap_err();
+    assert!(error.is_of_a_corrupt_file(&database.address), "{error:?}");
+    let corrupt = database.take_corrupt();
+    assert_eq!(std::fs::metadata(&corrupt[0].aside).unwrap().len(), length);
+    database.write("life", &batches[300..]).await.unwrap();
+}
+
+/// Regression: rows went to a file that no path led to, until the next start.
+#[tokio::test]
+async fn a_file_that_disappears_is_noticed_and_its_folder_is_not_created() {
+    let folder = tempfile::tempdir().unwrap();
+    let (home, away) = (folder.path().join("home"), folder.path().join("away"));
+    let database = file(&home).await;
+    let batches = ten_minutes(&mut Collector::new(&demo(), "spandrel"));
+    database.write("life", &batches[..300]).await.unwrap();
+    std::fs::rename(&home, &away).unwrap();
+    for _ in 0..2 {
+        database.write("life", &batches[300..]).await.unwrap_err();
+    }
+    assert!(!home.exists());
+    std::fs::rename(&away, &home).unwrap();
+    database.write("life", &batches[300..]).await.unwrap();
+    let query = SpanQuery {
+        points: 20_000,
+        ..SpanQuery::default()
+    };
+    let all = database.span(STRUCTURE, &name("demo"), &storey_2(), &query);
+    assert_eq!(all.await.unwrap().rows.time_s.len(), 6_000);
+}
+
+/// Regression: "database is locked" when old rows were deleted during a write.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn writes_deletions_and_another_process_wait_for_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    // Another process has its own connections to the same file.
+    let other = file(folder.path()).await;
+    let batches = ten_minutes(&mut Collector::new(&demo(), "spandrel"));
+    let keep = Keep {
+        display_s: Some(60),
+        ..Keep::default()
+    };
+    let mut tasks = tokio::task::JoinSet::new();
+    for (database, life) in [(database.clone(), "first"), (other, "second")] {
+        let batches = batches.clone();
+        tasks.spawn(async move {
+            for batch in batches.chunks(2) {
+                database.write(life, batch).await?;
+            }
+            Ok::<(), HistoryError>(())
+        });
+    }
+    tasks.spawn(async move {
+        for second in 0..200 {
+            let newest_ns = START_NS + second * SECOND_NS;
+            database.prune(STRUCTURE, newest_ns, &keep).await?;
+        }
+        Ok(())
+    });
+    for ended in tasks.join_all().await {
+        ended.unwrap();
+    }
 }
 
 /// Measures file size and query time for fifty parameters: a month by minute, hour and day, and an
@@ -493,7 +690,7 @@ async fn a_file_that_is_none_of_ours_is_named_and_left_alone() {
 #[tokio::test]
 #[ignore = "two million rows; its figures are in docs/history.md"]
 #[expect(clippy::disallowed_methods, reason = "it tells how long it took")]
-async fn a_month_of_fifty_parameters() {
+async fn month_of_fifty_parameters_needs_less_than_one_gigabyte() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     let start = std::time::Instant::now();
@@ -504,6 +701,7 @@ async fn a_month_of_fifty_parameters() {
             structure: STRUCTURE.to_owned(),
             number: minute + 1,
             points: Vec::new(),
+            conditions: Vec::new(),
             buckets: std::collections::BTreeMap::new(),
             happened: Vec::new(),
         };
@@ -579,12 +777,15 @@ async fn a_month_of_fifty_parameters() {
 
 // Covers a rollback: an earlier program must not write into tables of an unknown version.
 #[tokio::test]
-async fn tables_of_a_later_version_are_refused_and_left_as_they_are() {
+async fn tables_of_a_later_version_are_rejected_and_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
     let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
                  VALUES (2, 'later', TRUE, x'00', 0)";
-    sqlx::query(later).execute(&database.pool).await.unwrap();
+    sqlx::query(later)
+        .execute(&database.pool().await.unwrap())
+        .await
+        .unwrap();
     let earlier = Database::new(&database.address).unwrap();
     let mut collector = Collector::new(&demo(), "spandrel");
     let batches = ten_minutes(&mut collector);
@@ -599,7 +800,7 @@ async fn tables_of_a_later_version_are_refused_and_left_as_they_are() {
         "{told}"
     );
     let rows = sqlx::query("SELECT COUNT(*) FROM series")
-        .fetch_one(&database.pool)
+        .fetch_one(&database.pool().await.unwrap())
         .await
         .unwrap();
     assert_eq!(rows.try_get::<i64, _>(0).unwrap(), 0);

@@ -1,11 +1,11 @@
 //! Writes batches within a transaction, with or without skipping rows that the database rejects.
 
 use super::{Address, Series};
-use crate::batch::{Batch, Happened};
+use crate::batch::{Batch, Happened, RESOLUTIONS_S, buckets};
 use crate::sums::Sums;
 use spandrel_bus::AlertMessage;
 use sqlx::{AnyConnection, AssertSqlSafe, Executor, Row};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
 use std::sync::Arc;
 
@@ -91,6 +91,8 @@ pub(super) enum Care {
 #[derive(Debug, Default)]
 pub(super) struct SetAside {
     pub(super) rows: u64,
+    /// Number of values of conditions that were not newer than those in the database.
+    pub(super) repeated: u64,
     /// The reason for the last skipped row.
     pub(super) reason: Option<String>,
 }
@@ -175,6 +177,7 @@ impl<'w> Writing<'w> {
                 .points
                 .iter()
                 .map(|(series, ..)| series)
+                .chain(batch.conditions.iter().map(|(series, ..)| series))
                 .chain(batch.buckets.keys().map(|(series, ..)| series));
             for series in series {
                 let key = (batch.structure.clone(), series.clone());
@@ -183,13 +186,11 @@ impl<'w> Writing<'w> {
                     self.found.insert(key, number);
                 }
             }
-            for points in batch.points.chunks(ROWS_AT_ONCE) {
-                self.write(batch, Rows::Points(points)).await?;
-            }
-            let buckets: Vec<_> = batch.buckets.iter().collect();
-            for buckets in buckets.chunks(ROWS_AT_ONCE) {
-                self.write(batch, Rows::Buckets(buckets)).await?;
-            }
+            self.write_values(batch, &batch.points, &batch.buckets)
+                .await?;
+            let conditions = self.new_conditions(batch).await?;
+            self.write_values(batch, &conditions, &buckets(&conditions))
+                .await?;
             if !batch.happened.is_empty() {
                 self.write(batch, Rows::Happened(&batch.happened)).await?;
             }
@@ -201,6 +202,52 @@ impl<'w> Writing<'w> {
             .execute(&mut *self.connection)
             .await?;
         Ok(())
+    }
+
+    /// Writes values and their contributions to the minute, hour and day.
+    async fn write_values(
+        &mut self,
+        batch: &Batch,
+        points: &[(Series, i64, [f64; 3])],
+        buckets: &BTreeMap<(Series, i64, i64), Sums>,
+    ) -> Result<(), Failed> {
+        for points in points.chunks(ROWS_AT_ONCE) {
+            self.write(batch, Rows::Points(points)).await?;
+        }
+        let buckets: Vec<_> = buckets.iter().collect();
+        for buckets in buckets.chunks(ROWS_AT_ONCE) {
+            self.write(batch, Rows::Buckets(buckets)).await?;
+        }
+        Ok(())
+    }
+
+    /// Returns the values of conditions that are newer than those in the database.
+    ///
+    /// A source repeats values after a restart. Without this check, the sums of an hour would
+    /// contain them twice.
+    async fn new_conditions(
+        &mut self,
+        batch: &Batch,
+    ) -> Result<Vec<(Series, i64, [f64; 3])>, Failed> {
+        let mut newest: BTreeMap<&Series, Option<i64>> = BTreeMap::new();
+        let mut new = Vec::new();
+        for (series, time_ns, value) in &batch.conditions {
+            let known_ns = match newest.get(series) {
+                Some(known_ns) => *known_ns,
+                None => {
+                    let id = self.number(batch, series);
+                    newest_ns(self.connection, id).await?
+                }
+            };
+            if known_ns.is_some_and(|known_ns| *time_ns <= known_ns) {
+                self.set_aside.repeated += 1;
+                newest.insert(series, known_ns);
+                continue;
+            }
+            newest.insert(series, Some(*time_ns));
+            new.push((series.clone(), *time_ns, [*value, 0.0, 0.0]));
+        }
+        Ok(new)
     }
 
     /// Writes rows. With [`Care::SettingAside`], it finds and skips rejected rows by bisection.
@@ -332,6 +379,16 @@ impl<'w> Writing<'w> {
         insert.execute(&mut *self.connection).await?;
         Ok(())
     }
+}
+
+/// Returns the time of the newest value of a series (ns).
+async fn newest_ns(connection: &mut AnyConnection, id: i64) -> Result<Option<i64>, sqlx::Error> {
+    let statement = "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 \
+                     ORDER BY start_s DESC LIMIT 1";
+    let coarsest_s = RESOLUTIONS_S[RESOLUTIONS_S.len() - 1];
+    let select = sqlx::query(statement).bind(id).bind(coarsest_s);
+    let row = select.fetch_optional(connection).await?;
+    row.map(|row| row.try_get(0)).transpose()
 }
 
 /// Returns the ID of a series. Creates one if the series is new.

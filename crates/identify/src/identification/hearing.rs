@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn sample_that_repeats_itself_is_stuck_until_it_has_been_heard_for_long() {
+    fn repeated_sample_is_stuck_until_enough_new_samples_arrive() {
         let mut hearing = Hearing::new(false);
         assert_eq!(
             changes(
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_stuck_while_nothing_moves_nor_a_force_that_rests() {
+    fn constant_samples_at_rest_and_zero_force_are_not_stuck() {
         assert_eq!(changes(&mut Hearing::new(false), [0.5; 30], false), []);
         assert_eq!(changes(&mut Hearing::new(true), [0.0; 30], true), []);
         assert_eq!(
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_neither_hide_a_stuck_sensor_nor_make_one() {
+    fn missing_samples_neither_hide_nor_cause_a_stuck_sensor() {
         let slow = |value: f64| [value, f64::NAN];
         let stuck = std::iter::repeat_with(|| slow(2.0)).take(6).flatten();
         assert_eq!(

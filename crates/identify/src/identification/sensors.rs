@@ -80,8 +80,8 @@ impl Identification {
             (_, Soundness::Faulty) if is_response => (
                 EventKind::ChannelExcluded,
                 format!("the sensor {}: its samples are not used", words()),
-                "far below the first natural frequency, all sensors of a direction measure the \
-                 same motion, whatever the stiffness",
+                "below the first natural frequency, all sensors along a direction measure the same \
+                 motion",
             ),
             (_, Soundness::Faulty) => (
                 EventKind::ChannelExcluded,
@@ -90,7 +90,10 @@ impl Identification {
             ),
             (_, Soundness::InDoubt) => (
                 EventKind::ChannelInDoubt,
-                format!("perhaps the sensor {}: alerts are suspended", words()),
+                format!(
+                    "the sensor may be faulty ({}): alerts are suspended",
+                    words()
+                ),
                 "its motion differs from that of the other sensors where the stiffness has no \
                  effect",
             ),
@@ -187,7 +190,7 @@ impl Identification {
         &self.check
     }
 
-    /// Expects of the sensors what they have shown in earlier records.
+    /// Sets the relations that the sensors showed in earlier recordings.
     pub fn expect_sensors(&mut self, references: &[SensorReference]) {
         let names: Vec<&str> = self.channel_names.iter().map(Name::as_str).collect();
         self.check.expect(&names, references);

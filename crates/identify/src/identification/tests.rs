@@ -115,7 +115,7 @@ fn parameters_are_displayed_ten_times_a_second_of_measurement() {
 }
 
 #[test]
-fn diverged_filter_is_restarted_and_says_so() {
+fn restart_of_a_diverged_filter_is_reported() {
     let mut block = frames(300);
     // The value is finite, but makes every filter diverge.
     block.values[200 * 6 + 3] = 1e300;
@@ -137,7 +137,7 @@ fn diverged_filter_is_restarted_and_says_so() {
 }
 
 #[test]
-fn lost_frames_are_bridged_and_numbering_goes_on() {
+fn lost_frames_are_bridged_and_numbering_continues() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
     let mut blocks = cut(frames(400), &[200, 50]);
@@ -161,7 +161,7 @@ fn lost_frames_are_bridged_and_numbering_goes_on() {
 }
 
 #[test]
-fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
+fn motion_returns_to_its_prior_after_a_gap_too_long_to_bridge() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
     core.handle(IdentificationInput::Frames(frames(3000)), &mut outputs);
@@ -187,7 +187,7 @@ fn motion_is_forgotten_over_a_gap_too_long_to_bridge() {
 /// Regression: with some dozens of parameters, the estimates of a long gap exceeded the size limit
 /// of a message, which ended the service.
 #[test]
-fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
+fn estimates_of_a_long_gap_fit_into_messages() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     let mut outputs = Vec::new();
     core.handle(IdentificationInput::Frames(frames(200)), &mut outputs);
@@ -214,7 +214,7 @@ fn estimates_of_a_long_gap_come_in_blocks_that_can_be_sent() {
 /// Regression: all responses of a block preceded its first estimates, so a file contained them in
 /// the wrong rows.
 #[test]
-fn responses_are_told_with_the_estimates_of_their_frames() {
+fn responses_are_published_with_the_estimates_of_their_frames() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let response =
         "\n[[response]]\nname = \"roof\"\nquantity = \"displacement\"\ndof = \"floor-5\"\n";
@@ -242,7 +242,7 @@ fn responses_are_told_with_the_estimates_of_their_frames() {
 /// Regression: all estimates of a gap were in memory at once, 417 MB for 4096 frames of a structure
 /// with 160 parameters.
 #[test]
-fn a_long_gap_is_bridged_part_by_part_with_the_same_bits() {
+fn long_gap_is_bridged_in_parts_with_the_same_bits() {
     let begun = || {
         let mut core = Identification::new(&structure(), "identify").unwrap();
         core.handle(IdentificationInput::Frames(frames(200)), &mut Vec::new());
@@ -306,7 +306,7 @@ fn new_epoch_of_frames_keeps_the_parameters() {
 }
 
 #[test]
-fn source_that_starts_anew_while_the_building_shakes_spoils_no_level() {
+fn restart_of_the_source_during_motion_keeps_noise_levels_and_parameters() {
     let all = frames(3000);
     let mut parts = cut(all, &[2000]);
     let mut again = parts.remove(1);
@@ -331,7 +331,7 @@ fn source_that_starts_anew_while_the_building_shakes_spoils_no_level() {
 }
 
 #[test]
-fn missing_ground_motion_widens_the_prediction_of_its_step() {
+fn missing_ground_motion_increases_the_variance_of_its_step() {
     let mut block = frames(1000);
     for frame in 500..520 {
         block.values[frame * 6] = f64::NAN; // the ground
@@ -396,7 +396,7 @@ fn identified(structure: &Structure, block: FrameBlock) -> Vec<Output> {
 }
 
 #[test]
-fn noise_that_keeps_disagreeing_goes_back_to_training_and_is_told() {
+fn lasting_noise_misfit_restarts_training_and_is_reported() {
     // The floors become a hundred times noisier at 40 s. The published rule cannot follow by
     // itself.
     let (structure, mut block) = of_text(
@@ -418,7 +418,7 @@ fn noise_that_keeps_disagreeing_goes_back_to_training_and_is_told() {
 }
 
 #[test]
-fn parameters_at_their_bounds_are_told_once() {
+fn parameters_at_their_bounds_are_reported_a_few_times_at_most() {
     let (structure, block) = of_text(
         |text| {
             text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]")
@@ -440,7 +440,7 @@ fn parameters_at_their_bounds_are_told_once() {
 }
 
 #[test]
-fn parameters_that_a_class_keeps_at_their_bounds_are_named() {
+fn event_names_the_parameters_that_a_class_keeps_at_their_bounds() {
     let (structure, block) = of_text(
         |text| {
             text.replace("std = 0.2", "std = 0.2\nbounds = [0.9, 1.2]")
@@ -465,7 +465,7 @@ fn parameters_that_a_class_keeps_at_their_bounds_are_named() {
 }
 
 #[test]
-fn ground_channel_that_is_stuck_is_told_within_seconds_and_nothing_is_decided_on() {
+fn stuck_ground_channel_is_reported_within_seconds_and_suspends_decisions() {
     let (structure, mut block) = of_text(
         |text| text.replace("adapt-noise = true", "adapt-noise = false"),
         6000,
@@ -503,7 +503,7 @@ fn ground_channel_that_is_stuck_is_told_within_seconds_and_nothing_is_decided_on
 }
 
 #[test]
-fn excitation_that_is_never_measured_is_told_once() {
+fn excitation_without_samples_is_reported_once() {
     let (structure, mut block) = of_text(|text| text, 3000);
     for frame in block.values.chunks_exact_mut(6) {
         frame[0] = f64::NAN;
@@ -531,7 +531,7 @@ fn excitation_that_is_never_measured_is_told_once() {
 }
 
 #[test]
-fn excitation_that_falls_silent_is_trusted_again_only_after_it_has_been_back_for_as_long() {
+fn silent_excitation_is_trusted_only_after_an_equally_long_return() {
     let (structure, mut block) = of_text(
         |text| text.replace("adapt-noise = true", "adapt-noise = false"),
         6000,
@@ -558,7 +558,7 @@ fn excitation_that_falls_silent_is_trusted_again_only_after_it_has_been_back_for
 }
 
 #[test]
-fn long_stretch_without_any_channel_neither_diverges_nor_spoils_the_parameters() {
+fn long_interval_without_samples_neither_diverges_nor_changes_the_parameters() {
     let (structure, mut block) = of_text(
         |text| text.replace("half-life-s = 10", "half-life-s = 2"),
         12_000,
@@ -576,7 +576,7 @@ fn long_stretch_without_any_channel_neither_diverges_nor_spoils_the_parameters()
 }
 
 #[test]
-fn diverged_filter_finds_the_parameters_again_in_mid_motion() {
+fn diverged_filter_recovers_the_parameters_during_motion() {
     let (structure, mut block) = of_text(|text| text.replace("at-s = 60", "at-s = 600"), 9000);
     for value in &mut block.values[4000 * 6 + 1..4000 * 6 + 6] {
         *value = 1e200;
@@ -600,7 +600,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn other_blocks_give_the_same_estimates_to_the_bit(lengths in prop::collection::vec(1_u64..120, 0..5)) {
+    fn block_sizes_change_no_bit_of_the_estimates(lengths in prop::collection::vec(1_u64..120, 0..5)) {
         let whole = run(vec![frames(500)]);
         let parts = run(cut(frames(500), &lengths));
         prop_assert_eq!(estimates(&whole), estimates(&parts));
@@ -608,7 +608,7 @@ proptest! {
 }
 
 #[test]
-fn verdict_on_the_fit_is_shown_with_the_parameters_and_in_the_flags() {
+fn verdict_on_the_fit_is_published_with_the_parameters_and_in_the_flags() {
     let (structure, block) = of_text(|text| text, 3000);
     let outputs = identified(&structure, block);
     let shown: Vec<_> = outputs
@@ -678,7 +678,7 @@ fn a_sudden_loss_pauses_the_screening_and_is_reported_once() {
 }
 
 #[test]
-fn faulty_sensor_is_named_and_left_out_and_identification_starts_again() {
+fn faulty_sensor_is_named_and_excluded_and_identification_restarts() {
     let structure = structure();
     let mut block = frames(12_000);
     for values in block.values.chunks_mut(6) {
@@ -745,7 +745,7 @@ fn restart_while_the_motion_settles_changes_no_bit() {
 }
 
 #[test]
-fn held_parameters_are_as_uncertain_as_the_prior_when_they_are_released() {
+fn held_parameters_are_released_with_the_variance_of_their_prior() {
     // The filter forgets while the parameters are held, so that their deviation does not stay.
     let structure = structure();
     let mut core = Identification::new(&structure, "identify").unwrap();
@@ -767,7 +767,7 @@ fn held_parameters_are_as_uncertain_as_the_prior_when_they_are_released() {
 }
 
 #[test]
-fn filter_that_diverges_while_the_motion_settles_is_held_no_longer() {
+fn divergence_ends_the_hold_while_the_motion_settles() {
     let mut core = Identification::new(&structure(), "identify").unwrap();
     core.handle(IdentificationInput::Frames(frames(100)), &mut Vec::new());
     core.settling = 50;
@@ -778,7 +778,7 @@ fn filter_that_diverges_while_the_motion_settles_is_held_no_longer() {
 }
 
 #[test]
-fn sensors_are_compared_anew_after_a_gap_too_long_to_bridge() {
+fn sensor_check_restarts_after_a_gap_too_long_to_bridge() {
     let structure = structure();
     let mut core = Identification::new(&structure, "identify").unwrap();
     core.handle(IdentificationInput::Frames(frames(500)), &mut Vec::new());

@@ -77,7 +77,7 @@ fn answer(message: &LocalMessage) -> NodeInput {
 }
 
 #[test]
-fn live_samples_wait_for_nothing() {
+fn live_samples_are_processed_without_waiting_for_replies() {
     let mut worker = worker();
     let sent = run(
         &mut worker,
@@ -99,7 +99,7 @@ fn live_samples_wait_for_nothing() {
 }
 
 #[test]
-fn replayed_samples_wait_for_each_answer_whatever_the_blocks() {
+fn replayed_samples_wait_for_each_reply_for_any_block_size() {
     let means = |cuts: &[u64]| {
         let mut worker = worker();
         let mut inputs: VecDeque<NodeInput> = cuts
@@ -128,7 +128,7 @@ fn replayed_samples_wait_for_each_answer_whatever_the_blocks() {
 }
 
 #[test]
-fn a_late_answer_gives_the_same_as_one_in_time() {
+fn late_reply_gives_the_same_result_as_a_timely_one() {
     let late = |samples_late: u64| {
         let mut worker = worker();
         let first = run(
@@ -156,7 +156,7 @@ fn a_late_answer_gives_the_same_as_one_in_time() {
 }
 
 #[test]
-fn gaps_are_bridged_and_nonsense_is_dropped() {
+fn gaps_are_bridged_and_invalid_samples_are_dropped() {
     let mut worker = worker();
     let mut wild = samples(25, 50, Pace::Live);
     wild.samples[4] = 1e30;
@@ -188,7 +188,7 @@ fn gaps_are_bridged_and_nonsense_is_dropped() {
 }
 
 #[test]
-fn answers_of_no_use_change_nothing() {
+fn invalid_and_stale_replies_change_nothing() {
     let mut worker = worker();
     let first = run(
         &mut worker,
@@ -236,7 +236,7 @@ fn answers_of_no_use_change_nothing() {
 /// Regression: each worker counted its periods from its first sample, so periods of different nodes
 /// did not end together.
 #[test]
-fn periods_end_at_whole_seconds_wherever_the_samples_begin() {
+fn periods_end_at_whole_seconds_for_any_first_sample() {
     for (from, phase_ns) in [(10, 0), (10, 15_000_000), (24, -15_000_000), (25, 0)] {
         let mut worker = worker();
         let mut block = samples(from, 125, Pace::Live);
@@ -297,7 +297,7 @@ fn periods_stay_in_step_while_the_clock_of_the_samples_drifts() {
 }
 
 #[test]
-fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
+fn restarted_sensor_keeps_the_same_periods() {
     let mut worker = worker();
     let mut again = samples(73, 150, Pace::Live);
     again.header.epoch = 2;
@@ -340,7 +340,7 @@ fn a_sensor_that_is_started_again_keeps_to_the_same_periods() {
 
 /// Regression: the full triangle was sent although the file specified variances alone.
 #[test]
-fn variances_alone_are_sent_where_the_file_asks_for_no_more() {
+fn message_contains_only_variances_if_the_file_requests_it() {
     let asks = "[fusion]\ncovariance = \"variances\"";
     assert_eq!(FILE.matches("[fusion]").count(), 1);
     let structure =
@@ -373,7 +373,7 @@ fn screening_worker() -> NodeIdentification {
 
 /// Regression: samples that the filter of a node rejected were not reported.
 #[test]
-fn rejected_samples_of_a_node_are_told_by_channel_with_its_messages() {
+fn rejected_samples_of_a_node_are_reported_by_channel_in_its_messages() {
     let mut worker = screening_worker();
     let mut block = samples(0, 1000, Pace::Live);
     // Sample 500 of the second channel is a spike.
@@ -407,7 +407,7 @@ fn rejected_samples_of_a_node_are_told_by_channel_with_its_messages() {
 }
 
 #[test]
-fn a_message_says_that_it_is_of_no_samples() {
+fn message_states_its_number_of_samples() {
     let mut worker = screening_worker();
     let mut block = samples(0, 100, Pace::Live);
     block.samples[2 * 25..2 * 75].fill(f64::NAN);
@@ -441,7 +441,7 @@ fn next_life(before: &NodeIdentification, mut worker: NodeIdentification) -> Nod
 }
 
 #[test]
-fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known() {
+fn rereading_missed_samples_restores_the_uninterrupted_state() {
     let mut undisturbed = worker();
     let first = run(
         &mut undisturbed,
@@ -524,7 +524,7 @@ fn a_worker_that_reads_again_what_it_has_missed_knows_what_it_would_have_known()
 }
 
 #[test]
-fn what_a_worker_has_missed_for_good_is_a_gap() {
+fn permanently_missed_samples_are_a_gap() {
     let mut first = worker();
     run(&mut first, [NodeInput::Samples(samples(0, 60, Pace::Live))]);
     let mut second = next_life(&first, worker());
@@ -546,7 +546,7 @@ fn what_a_worker_has_missed_for_good_is_a_gap() {
 }
 
 #[test]
-fn the_past_waits_for_no_answer() {
+fn reread_samples_wait_for_no_reply() {
     let mut first = worker();
     run(
         &mut first,
@@ -570,7 +570,7 @@ fn the_past_waits_for_no_answer() {
 }
 
 #[test]
-fn an_answer_to_the_life_before_is_of_no_use() {
+fn reply_to_the_previous_run_is_stale() {
     let mut first = worker();
     let sent = run(&mut first, [NodeInput::Samples(samples(0, 25, Pace::Live))]);
     let mut second = next_life(&first, worker());

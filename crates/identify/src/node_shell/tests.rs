@@ -178,7 +178,7 @@ fn is_lost(ended: &Result<(), IdentifyError>) -> bool {
 
 /// Regression: the panic terminated the process, and each restart received the same samples again.
 #[tokio::test(flavor = "multi_thread")]
-async fn samples_that_kill_the_worker_are_set_aside_in_its_next_life() {
+async fn samples_that_cause_a_panic_are_set_aside_after_restarts() {
     let mut lives = Lives::new().await;
     let node = Name::new(lives.structure.nodes()[0].name()).unwrap();
     let local = lives

@@ -380,7 +380,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_state_that_fits_no_message_is_told_with_its_size() {
+    fn error_names_structure_and_size_limit_of_a_state_too_large() {
         assert!(check_size_of("tower", vec![0; MAX_MESSAGE_BYTES / 2]).is_ok());
         let refused = check_size_of("tower", vec![0; MAX_MESSAGE_BYTES])
             .unwrap_err()

@@ -221,7 +221,7 @@ async fn run_with_a_frame_that_panics(remembering: Option<Remembering>) -> Recei
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_frame_that_kills_the_identification_twice_is_set_aside_and_nothing_else_changes() {
+async fn frame_that_causes_two_panics_is_set_aside_and_nothing_else_changes() {
     let folder = tempfile::tempdir().unwrap();
     let remembering = Remembering {
         folder: folder.path().to_owned(),

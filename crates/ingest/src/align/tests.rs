@@ -176,6 +176,23 @@ fn time_stamps_that_jitter_do_not_shift_the_values() {
 }
 
 #[test]
+fn wrong_time_stamps_of_a_few_samples_do_not_shift_the_others() {
+    let nodes = layout(&[1, 1]).nodes().to_vec();
+    let narrow = Layout::new(nodes, 100.0, 0.001).unwrap();
+    let mut alignment = Alignment::new(narrow, "ingest".into(), 1);
+    let mut second = sampled(1, 0, 0, 210);
+    second[8].header.time_ns += 4_000_000;
+    let raw: Vec<f64> = second.iter().flat_map(|b| b.samples.clone()).collect();
+    let frames = feed(&mut alignment, alternately(sampled(0, 0, 0, 210), second));
+    let found = values(&frames);
+    for (number, expected) in raw.iter().enumerate() {
+        let off_grid = (56..63).contains(&number);
+        let expected = if off_grid { -1.0 } else { *expected };
+        assert_eq!(found[2 * number + 1], expected, "frame {number}");
+    }
+}
+
+#[test]
 fn missing_neighbours_leave_a_sample_as_it_is() {
     let mut alignment = alignment(&[1, 1]);
     let mut second = sampled(1, 2_000_000, 0, 70);
@@ -540,6 +557,13 @@ fn live(epoch: u64, time_ns: i64, seconds: i64) -> Vec<(usize, SampleBlock)> {
         .collect()
 }
 
+/// Passes the deadlines of a second, which lie before all samples.
+fn pass_a_second(alignment: &mut Alignment, out: &mut Vec<FrameBlock>) {
+    for _ in 0..DEADLINES_OF_SILENCE {
+        alignment.handle(AlignmentInput::Deadline { time_ns: 0 }, out);
+    }
+}
+
 // Its deadline closed the frames of the live samples before all nodes had delivered them.
 #[test]
 fn live_samples_after_a_simulation_of_the_future_are_all_used() {
@@ -580,12 +604,28 @@ fn live_node_that_goes_back_while_the_other_is_silent_begins_a_new_run() {
     let mut alignment = alignment(&[1, 1]);
     feed(&mut alignment, live(1, T0 + 60 * 100 * STEP, 2));
     let mut out = Vec::new();
-    let of_first = live(2, T0, 5).into_iter().filter(|(node, _)| *node == 0);
-    out.extend(feed(&mut alignment, of_first.collect()));
+    for sample in live(2, T0, 5).into_iter().filter(|(node, _)| *node == 0) {
+        out.extend(feed(&mut alignment, vec![sample]));
+        pass_a_second(&mut alignment, &mut out);
+    }
     let time_ns = T0 + 10 * 100 * STEP;
     alignment.handle(AlignmentInput::Deadline { time_ns }, &mut out);
     assert!(out.iter().any(|block| block.header.epoch == 2));
     assert_eq!(alignment.counts().nodes.late, 0);
+}
+
+// It began a new run, in which the past minute contained only this node.
+#[test]
+fn node_that_catches_up_after_an_outage_of_its_link_begins_no_run() {
+    let mut alignment = alignment(&[1, 1]);
+    let now = T0 + 60 * 100 * STEP;
+    feed(&mut alignment, live(1, now, 2));
+    let backlog = live(1, T0, 60).into_iter().filter(|(node, _)| *node == 1);
+    let mut out = feed(&mut alignment, backlog.collect());
+    pass_a_second(&mut alignment, &mut out);
+    out.extend(feed(&mut alignment, live(1, now + 200 * STEP, 2)));
+    assert!(out.iter().all(|block| block.header.epoch == 1));
+    assert_eq!(alignment.counts().nodes.late, 6000);
 }
 
 // A node that had been far behind must not lose the end of each later block as well.

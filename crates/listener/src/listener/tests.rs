@@ -49,7 +49,7 @@ async fn gather_until(listener: &mut Listener, done: impl Fn(&Structures) -> boo
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn alerts_raised_before_are_asked_for_and_later_ones_heard() {
+async fn earlier_alerts_are_queried_and_later_alerts_received() {
     let (bus, keys) = open().await;
     let before = bus
         .publish_latest(keys.alert(&name("storey-1")))
@@ -79,7 +79,7 @@ async fn alerts_raised_before_are_asked_for_and_later_ones_heard() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn values_and_tokens_of_all_structures_are_heard() {
+async fn values_and_tokens_of_all_structures_are_received() {
     let (bus, keys) = open().await;
     let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
         .await
@@ -115,7 +115,7 @@ async fn values_and_tokens_of_all_structures_are_heard() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_structure_is_heard_alone() {
+async fn listener_can_be_limited_to_one_structure() {
     let (bus, keys) = open().await;
     let mut listener = Listener::start(&bus, keys.root(), Some(&name("tower")), NEEDS)
         .await
@@ -145,7 +145,7 @@ async fn one_structure_is_heard_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_new_alert_service_is_asked_how_its_alerts_stand() {
+async fn new_alert_service_is_queried_for_its_alerts() {
     let (bus, keys) = open().await;
     // Before the subscription, so that only a query can return it.
     let latest = bus

@@ -38,7 +38,7 @@ fn stale_alerts(structures: &Structures) -> Vec<&str> {
 
 /// The losses of an alert service that stalls or disappears must not pass for present ones.
 #[test]
-fn a_loss_ends_with_its_service_and_without_news_while_estimates_arrive() {
+fn loss_expires_when_its_service_ends_or_sends_nothing_while_estimates_arrive() {
     let value = |second| Input::Parameter(parameter("storey-1", second));
     let there = || present(&[(Service::Alert, "a"), (Service::Identify, "a")]);
     let known = |structures: &Structures| tower(structures).losses.contains_key("storey-1");
@@ -70,7 +70,7 @@ fn data_are_stale_after_three_seconds_without_a_value() {
 /// Regression test: for three seconds after a restart of all services, values of disconnected
 /// sensors counted as new.
 #[test]
-fn what_is_read_again_after_a_restart_does_not_end_a_silence() {
+fn reread_values_after_a_restart_do_not_end_a_silence() {
     let there = || present(&[(Service::Ingest, "a"), (Service::Identify, "a")]);
     let value = |time_ns| Input::Parameter(parameter("storey-1", time_ns));
     let mut structures = after([
@@ -100,7 +100,7 @@ fn a_status_does_not_hide_that_data_are_stale() {
 }
 
 #[test]
-fn what_was_never_heard_is_not_stale() {
+fn data_never_received_are_not_stale() {
     let structures = after([present(&[(Service::Ingest, "a")]), at(100)]);
     assert_eq!(stale_for_s(&structures), None);
     let instance = &tower(&structures).instances[&(Service::Ingest, name("a"))];
@@ -108,7 +108,7 @@ fn what_was_never_heard_is_not_stale() {
 }
 
 #[test]
-fn each_change_of_an_alert_is_told_once() {
+fn each_change_of_an_alert_is_reported_once() {
     let mut structures = Structures::default();
     let mut told = |input| changes(&mut structures, input);
     let pending = alert("storey-2", 40, AlertState::Pending);
@@ -120,7 +120,7 @@ fn each_change_of_an_alert_is_told_once() {
 }
 
 #[test]
-fn an_answer_does_not_undo_what_came_by_itself() {
+fn query_reply_does_not_replace_a_newer_publication() {
     let acknowledged = alert("storey-2", 45, AlertState::Acknowledged);
     let mut structures = after([Input::Alert(acknowledged)]);
     let mut told = |time_ns, state| {
@@ -133,7 +133,7 @@ fn an_answer_does_not_undo_what_came_by_itself() {
 }
 
 #[test]
-fn alerts_are_stale_from_when_their_service_goes_until_it_speaks_again() {
+fn alerts_are_stale_until_their_restarted_service_publishes() {
     let there = || present(&[(Service::Alert, "alert")]);
     let raised = alert("storey-2", 45, AlertState::Raised);
     let mut structures = after([
@@ -157,7 +157,7 @@ fn alerts_are_stale_from_when_their_service_goes_until_it_speaks_again() {
 }
 
 #[test]
-fn a_new_life_of_the_alert_service_counts_though_it_is_at_earlier_estimates() {
+fn restarted_alert_service_counts_although_its_estimates_are_earlier() {
     let there = || present(&[(Service::Alert, "alert")]);
     for of_new_life in [Input::Alert, Input::StandingAlert] {
         let raised = alert("storey-2", 45, AlertState::Raised);
@@ -169,7 +169,7 @@ fn a_new_life_of_the_alert_service_counts_though_it_is_at_earlier_estimates() {
 }
 
 #[test]
-fn alerts_of_one_structure_are_not_stale_because_the_service_of_another_goes() {
+fn end_of_another_structures_service_makes_no_alert_stale() {
     let mut mast = alert("storey-1", 0, AlertState::Raised);
     mast.structure = name("mast");
     let structures = after([
@@ -184,7 +184,7 @@ fn alerts_of_one_structure_are_not_stale_because_the_service_of_another_goes() {
 }
 
 #[test]
-fn a_service_that_goes_stays_on_record_and_a_node_does_not() {
+fn ended_service_stays_listed_and_an_ended_node_does_not() {
     let structures = after([
         present(&[(Service::Ingest, "a"), (Service::Sensor, "floor-1")]),
         Input::Status(status(Service::Ingest)),
@@ -199,13 +199,13 @@ fn a_service_that_goes_stays_on_record_and_a_node_does_not() {
 }
 
 #[test]
-fn a_structure_that_came_and_went_unheard_leaves_no_trace() {
+fn structure_without_values_leaves_no_entry() {
     let structures = after([present(&[(Service::Sensor, "floor-1")]), present(&[])]);
     assert_eq!(structures.structures().len(), 0);
 }
 
 #[test]
-fn more_structures_than_there_is_room_for_are_counted() {
+fn structures_beyond_the_limit_are_counted() {
     let of = |number: usize| {
         let mut display = parameter("storey-1", 0);
         display.structure = name(&format!("s-{number}"));
@@ -217,7 +217,7 @@ fn more_structures_than_there_is_room_for_are_counted() {
 }
 
 #[test]
-fn more_names_than_there_is_room_for_are_counted() {
+fn names_beyond_the_limit_are_counted() {
     let of = |number: usize| Input::Parameter(parameter(&format!("p-{number}"), 0));
     let structures = after((0..MAX_CHANNELS + 7).map(of));
     let counts = (tower(&structures).parameters.len(), structures.left_out());

@@ -36,7 +36,7 @@ fn outbox(repeats: bool) -> Outbox {
 }
 
 #[test]
-fn each_change_is_sent_once_to_whom_it_concerns() {
+fn each_change_is_sent_once_to_its_receivers() {
     let mut outbox = outbox(false);
     for _ in 0..3 {
         take(&mut outbox, &alert(10, AlertState::Pending), s(0));
@@ -69,7 +69,7 @@ fn each_change_is_sent_once_to_whom_it_concerns() {
 }
 
 #[test]
-fn what_failed_is_sent_again_later_and_later_and_in_order() {
+fn failed_notices_are_retried_in_order_at_growing_intervals() {
     let mut outbox = outbox(false);
     take(&mut outbox, &alert(20, AlertState::Raised), s(0));
     take(&mut outbox, &alert(40, AlertState::Cleared), s(0));
@@ -102,7 +102,7 @@ fn what_failed_is_sent_again_later_and_later_and_in_order() {
 }
 
 #[test]
-fn an_alert_that_stands_is_repeated_to_whoever_wants_that() {
+fn active_alert_is_repeated_to_receivers_with_repetition() {
     let mut outbox = outbox(true);
     take(&mut outbox, &alert(20, AlertState::Raised), s(0));
     let mut sent = Vec::new();
@@ -149,7 +149,7 @@ fn sent(states: &[(AlertState, f64)]) -> Vec<(AlertState, f64)> {
 }
 
 #[test]
-fn revision_is_told_once_the_loss_has_doubled() {
+fn revision_is_sent_when_the_loss_has_doubled() {
     use AlertState::{Acknowledged, Cleared, Raised};
     let losses = [0.12, 0.15, 0.2, 0.25, 0.4, 0.49, 0.51].map(|loss| (Raised, loss));
     assert_eq!(
@@ -167,21 +167,21 @@ fn revision_is_told_once_the_loss_has_doubled() {
 }
 
 #[test]
-fn alert_that_is_confirmed_again_and_end_that_is_told_again_are_no_news() {
+fn confirmed_alert_and_repeated_end_are_not_sent_again() {
     use AlertState::{Cleared, Raised, Unconfirmed};
     let states = [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
     assert_eq!(sent(&states), [states[0], states[3], states[5]]);
 }
 
 #[test]
-fn end_of_each_alert_is_told() {
+fn end_of_each_alert_is_sent() {
     use AlertState::{Cleared, Raised};
     let states = [Raised, Cleared, Raised, Cleared].map(|state| (state, 0.12));
     assert_eq!(sent(&states), states);
 }
 
 #[test]
-fn what_was_told_is_no_news_in_the_next_life() {
+fn change_is_not_sent_again_after_a_restart() {
     let mut first = outbox(false);
     take(&mut first, &alert(20, AlertState::Raised), s(0));
     let house = alert(20, AlertState::Raised).structure;
@@ -199,7 +199,7 @@ fn what_was_told_is_no_news_in_the_next_life() {
 }
 
 #[test]
-fn an_alert_that_is_not_confirmed_is_repeated_and_a_revision_does_not_put_it_off() {
+fn unconfirmed_alert_is_repeated_and_a_revision_does_not_delay_it() {
     let mut outbox = outbox(true);
     for (second, state) in [
         (20, AlertState::Raised),
@@ -217,7 +217,7 @@ fn an_alert_that_is_not_confirmed_is_repeated_and_a_revision_does_not_put_it_off
 }
 
 #[test]
-fn what_waits_is_bounded() {
+fn number_of_waiting_notices_is_bounded() {
     let mut outbox = outbox(false);
     for second in 0..5_000 {
         take(
@@ -233,7 +233,7 @@ fn what_waits_is_bounded() {
 }
 
 #[test]
-fn another_life_goes_on_with_what_was_not_delivered_and_tells_nothing_twice() {
+fn undelivered_notices_are_sent_once_after_a_restart() {
     let mut first = outbox(false);
     for (second, state) in [
         (20, AlertState::Raised),
@@ -288,7 +288,7 @@ fn another_life_goes_on_with_what_was_not_delivered_and_tells_nothing_twice() {
 }
 
 #[test]
-fn an_alert_that_stood_is_repeated_in_the_next_life_and_repetitions_are_not_remembered() {
+fn active_alert_is_repeated_after_a_restart_and_repetitions_are_not_stored() {
     let mut first = outbox(true);
     take(&mut first, &alert(20, AlertState::Raised), s(0));
     first.due(s(0));
@@ -316,7 +316,7 @@ fn an_alert_that_stood_is_repeated_in_the_next_life_and_repetitions_are_not_reme
 }
 
 #[test]
-fn time_away_counts_until_a_notice_is_given_up() {
+fn downtime_counts_towards_the_expiry_of_a_notice() {
     let mut first = outbox(false);
     take(&mut first, &alert(20, AlertState::Raised), s(0));
     let house = alert(20, AlertState::Raised).structure;
@@ -337,7 +337,7 @@ fn time_away_counts_until_a_notice_is_given_up() {
 }
 
 #[test]
-fn what_is_remembered_is_bounded() {
+fn stored_state_is_bounded() {
     let mut outbox = outbox(false);
     for second in 0..5_000 {
         take(
@@ -408,7 +408,7 @@ fn saved(outbox: &Outbox, wish: Wish, now: Duration) -> Outbox {
 const NONE: [&str; 0] = [];
 
 #[test]
-fn simulation_pages_only_who_asked_for_it() {
+fn simulation_is_sent_only_on_request() {
     let mut content = of_alert(&alert(20, AlertState::Raised));
     for origin in [Origin::Simulated, Origin::Replayed] {
         content.circumstances.origin = origin;
@@ -427,7 +427,7 @@ fn simulation_pages_only_who_asked_for_it() {
 }
 
 #[test]
-fn escalation_waits_and_only_what_nobody_acknowledged_is_sent() {
+fn only_unacknowledged_alerts_are_escalated_after_the_delay() {
     let wish = || Wish {
         after: s(1800),
         ..Wish::default()
@@ -457,7 +457,7 @@ fn escalation_waits_and_only_what_nobody_acknowledged_is_sent() {
 }
 
 #[test]
-fn acknowledged_alert_that_is_in_doubt_is_not_escalated() {
+fn acknowledged_unconfirmed_alert_is_not_escalated() {
     let mut outbox = outbox_of(Wish {
         after: s(1800),
         ..Wish::default()
@@ -472,7 +472,7 @@ fn acknowledged_alert_that_is_in_doubt_is_not_escalated() {
 }
 
 #[test]
-fn doubt_and_revisions_do_not_put_an_escalation_off() {
+fn unconfirmed_state_does_not_delay_an_escalation() {
     let mut outbox = outbox_of(Wish {
         after: s(1800),
         ..Wish::default()
@@ -498,7 +498,7 @@ fn night() -> Wish {
 }
 
 #[test]
-fn quiet_hours_end_with_what_lasts_and_one_summary_of_what_has_ended() {
+fn quiet_hours_end_with_active_alerts_and_one_summary_of_ended_alerts() {
     // 1970-01-01 was a Thursday.
     let mut outbox = outbox_of(night());
     let of = |parameter: &str, seconds, state| AlertMessage {
@@ -523,7 +523,7 @@ fn quiet_hours_end_with_what_lasts_and_one_summary_of_what_has_ended() {
 }
 
 #[test]
-fn maintenance_mutes_and_its_end_is_followed_by_a_summary_and_by_what_lasts() {
+fn maintenance_ends_with_a_summary_and_active_alerts() {
     let second = 1_000_000_000;
     let mut outbox = outbox_of(Wish::default());
     outbox.maintain(maintenance(None, 0, 3600 * second), 0);
@@ -543,7 +543,7 @@ fn maintenance_mutes_and_its_end_is_followed_by_a_summary_and_by_what_lasts() {
 }
 
 #[test]
-fn maintenance_of_one_part_mutes_nothing_else_and_no_repetition_passes() {
+fn maintenance_of_one_part_mutes_only_this_part_and_its_repetitions() {
     let mut outbox = outbox_of(Wish {
         repeats: true,
         ..Wish::default()

@@ -48,7 +48,7 @@ fn units_become_si() {
 }
 
 #[test]
-fn unit_in_the_header_counts_unless_another_is_declared() {
+fn declared_unit_precedes_the_unit_in_the_header() {
     let column = |column: &str| ChannelColumn::new("roof").with_column(column);
     let read = |text: &str, column: ChannelColumn| rows(text, &ColumnMapping::new(vec![column]));
     let by_file = |name: &str| column(name).in_unit_of_file(Quantity::Acceleration);
@@ -98,7 +98,7 @@ fn empty_and_nan_fields_are_missing_samples() {
 }
 
 #[test]
-fn gap_in_time_stays_a_gap() {
+fn gap_in_time_remains_a_gap() {
     let found = rows(
         "time,a\n0,1\n0.01,2\n7.5,3\n",
         &ColumnMapping::by_name(["a"]),
@@ -132,7 +132,7 @@ fn iso_8601_times_are_read() {
 }
 
 #[test]
-fn missing_columns_are_all_named_beside_those_that_are_there() {
+fn error_names_all_missing_and_present_columns() {
     let error = reader("time_s,c\n", &ColumnMapping::by_name(["a", "b"]))
         .err()
         .unwrap();
@@ -225,7 +225,7 @@ fn other_separators_and_decimal_commas_are_read() {
 }
 
 #[test]
-fn header_behind_other_lines_keeps_the_line_numbers_of_the_file() {
+fn lines_before_the_header_count_in_line_numbers() {
     let mapping = ColumnMapping::by_name(["a"]);
     let text = "Recorder 7, hall\nStart: 2025-03-06\n\ntime,a\n0,1\n0.01,?\n";
     let error = rows(text, &mapping).unwrap_err();

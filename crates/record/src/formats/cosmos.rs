@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_one_after_the_other_are_read() {
+    fn consecutive_channels_are_read() {
         let file = channel(1, "g     ") + &channel(-999, "cm/sec2");
         let channels = read(file.as_bytes()).unwrap();
         assert_eq!(
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn time_step_that_is_unknown_is_refused() {
+    fn unknown_time_step_is_rejected() {
         let file = channel(1, "g")
             .replace("     0.020000", "     0.000000")
             .replace("     5.000000", "  -999.000000");

@@ -16,7 +16,7 @@ use array::Array;
 use crate::bytes::{ByteOrder, Bytes};
 use crate::fault::Fault;
 use crate::recorded::RecordedChannel;
-use crate::unpacked::UnpackingBudget;
+use crate::unpacked::{Refusal, UnpackingBudget};
 
 const HEADER_BYTES: usize = 128;
 /// Type of an element compressed by zlib.
@@ -34,8 +34,8 @@ pub(crate) fn is_matlab(head: &[u8]) -> bool {
             .is_some_and(|mark| mark == b"IM" || mark == b"MI")
 }
 
-/// Reads all series of all variables.
-pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
+/// Reads all series of all variables. Compressed variables count towards the `budget`.
+pub(crate) fn read(bytes: &[u8], budget: &UnpackingBudget) -> Result<Vec<RecordedChannel>, Fault> {
     let mut file = Bytes::new(bytes, ByteOrder::Little);
     file.seek(HEADER_BYTES - 4)?;
     let mark = file.clone().take(4)?;
@@ -57,16 +57,15 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
     file.take(2)?;
     let mut variables = Vec::new();
-    let mut budget = UnpackingBudget::new();
     while !file.is_at_end() {
         let start = file.position();
         let (kind, data) = tagged(&mut file)?;
         match kind {
             COMPRESSED => {
                 let decoder = flate2::read::ZlibDecoder::new(data);
-                let element = budget.unpack(decoder).map_err(|found| {
-                    Fault::at_byte(start, "compressed element", found, "zlib data")
-                })?;
+                let element = budget
+                    .unpack(decoder)
+                    .map_err(|error| Refusal::of(&error, "zlib data").at_byte(start))?;
                 let mut element = Bytes::new(&element, file.order);
                 let (kind, data) = tagged(&mut element).map_err(|_| {
                     Fault::at_byte(start, "compressed element", "shorter than stated", "whole")

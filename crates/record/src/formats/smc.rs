@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn touching_samples_missing_ones_and_place_are_read() {
+    fn touching_and_missing_samples_and_location_are_read() {
         let channels = read(file("2 CORRECTED ACCELEROGRAM").as_bytes()).unwrap();
         let channel = &channels[0];
         let samples: Vec<f64> = channel.samples().collect();

@@ -1,9 +1,12 @@
 //! Text tables read as a whole. Every column of numbers is a channel.
 
+use std::io::{self, Cursor, Read};
 use std::path::Path;
 
 use crate::record_time::TimeForm;
 use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
+use crate::row_limit::{MOST_COLUMNS, MOST_ROW_BYTES};
+use crate::source::Source;
 use crate::table_layout::{HEAD_BYTES, Separator, TableLayout};
 use crate::{
     ColumnMapping, CsvReader, ReadOptions, RecordError, RecordReader, TimeSource, TimeUnit,
@@ -18,13 +21,19 @@ const COUNTING_HZ: f64 = 1.0;
 /// The options can name the time column. By default, it is the first column whose name is `t` or
 /// begins with `time`. If there is none, it is the first column if that contains dates.
 pub(crate) fn read(
-    bytes: Vec<u8>,
+    source: Source,
     path: &Path,
     options: &ReadOptions,
 ) -> Result<Vec<RecordedChannel>, RecordError> {
-    let head = &bytes[..bytes.len().min(HEAD_BYTES as usize)];
-    let layout = TableLayout::find(head, options.time_column.as_deref());
-    let (header, row) = first_lines(&bytes, &layout);
+    let layout = TableLayout::find(source.head(), options.time_column.as_deref());
+    let mut input = source.into_reader();
+    let head = first_rows(&mut input, &layout).map_err(|source| RecordError::Read {
+        path: path.to_owned(),
+        line: 1 + layout.lines_before,
+        source: source.into(),
+    })?;
+    check_header(&head, &layout, path)?;
+    let (header, row) = first_lines(&head, &layout);
     let is_date = |field: &&String| TimeForm::of(field) == Some(TimeForm::Iso8601);
     let time_column = match &options.time_column {
         Some(name) => Some(name.clone()),
@@ -67,7 +76,7 @@ pub(crate) fn read(
         false => TimeOrigin::Start,
     };
 
-    let mut reader = CsvReader::new(Box::new(std::io::Cursor::new(bytes)), path, &mapping)?;
+    let mut reader = CsvReader::new(Box::new(Cursor::new(head).chain(input)), path, &mapping)?;
     let mut times_ns = Vec::new();
     let mut samples = vec![Vec::new(); columns.len()];
     while let Some(row) = reader.next_row()? {
@@ -86,6 +95,55 @@ pub(crate) fn read(
         channel.with_unit(unit).with_origin(origin)
     };
     Ok(columns.into_iter().zip(samples).map(channel).collect())
+}
+
+/// Reads the lines before the header, the header and the first row, or as much as they may have.
+fn first_rows(input: &mut impl Read, layout: &TableLayout) -> io::Result<Vec<u8>> {
+    let most = layout.bytes_before + 2 * MOST_ROW_BYTES;
+    let mut head = Vec::new();
+    loop {
+        let before = head.len();
+        input.take(HEAD_BYTES).read_to_end(&mut head)?;
+        let table = head.get(layout.bytes_before..).unwrap_or_default();
+        let is_row = |line: &&[u8]| line.ends_with(b"\n") && !line.trim_ascii().is_empty();
+        let rows = table.split_inclusive(|byte| *byte == b'\n').filter(is_row);
+        if rows.take(2).count() == 2 || head.len() == before || head.len() >= most {
+            return Ok(head);
+        }
+    }
+}
+
+/// Checks the size of the header before its columns need memory.
+fn check_header(head: &[u8], layout: &TableLayout, path: &Path) -> Result<(), RecordError> {
+    let table = head.get(layout.bytes_before..).unwrap_or_default();
+    let header = table
+        .split(|byte| *byte == b'\n')
+        .next()
+        .unwrap_or_default();
+    let (path, line) = (path.to_owned(), 1 + layout.lines_before);
+    if header.len() > MOST_ROW_BYTES {
+        let most = MOST_ROW_BYTES;
+        return Err(RecordError::LongRow { path, line, most });
+    }
+    let columns = match layout.separator {
+        Separator::Byte(separator) => header.split(|byte| *byte == separator).count(),
+        Separator::Blanks => header
+            .split(u8::is_ascii_whitespace)
+            .filter(|name| !name.is_empty())
+            .count(),
+    };
+    match columns {
+        found if found > MOST_COLUMNS => {
+            let most = MOST_COLUMNS;
+            Err(RecordError::TooManyColumns {
+                path,
+                line,
+                found,
+                most,
+            })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Returns the names of the columns, and the fields of the first row.
@@ -137,7 +195,8 @@ mod tests {
     use super::*;
 
     fn read_text(text: &str, options: &ReadOptions) -> Vec<RecordedChannel> {
-        read(text.as_bytes().to_vec(), Path::new("hall.csv"), options).unwrap()
+        let source = Source::new(Cursor::new(text.as_bytes().to_vec())).unwrap();
+        read(source, Path::new("hall.csv"), options).unwrap()
     }
 
     #[test]

@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_apart_need_no_width() {
+    fn separated_numbers_need_no_width() {
         let columns = NumberColumns {
             per_line: 3,
             width: 10,
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn short_line_stars_and_early_end_name_their_line() {
+    fn error_names_the_line_of_missing_or_unreadable_values() {
         let columns = NumberColumns {
             per_line: 2,
             width: 6,
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn not_a_number_is_no_number() {
+    fn nan_infinity_and_overflow_are_not_parsed() {
         for wrong in ["nan", "inf", "1e400", "", "1.2.3"] {
             assert_eq!(decimal(wrong), None, "{wrong}");
         }

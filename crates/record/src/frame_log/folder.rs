@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
 use super::chunk::Entry;
 use super::scan::{Scan, scan};
@@ -111,6 +112,12 @@ impl Folder {
         };
         self.segments().keep_index(name, Arc::clone(&entries));
         Ok(Some(take(&entries)))
+    }
+
+    /// Returns when a segment was last written, by the clock of this machine at that time.
+    pub(super) fn written_at(&self, name: SegmentName) -> Option<SystemTime> {
+        let file = std::fs::metadata(name.path(&self.path));
+        file.and_then(|file| file.modified()).ok()
     }
 
     /// Deletes a segment. It is not an error if the file does not exist.

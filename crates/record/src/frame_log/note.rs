@@ -1,9 +1,11 @@
 //! The mark in the lock file, which shows after a crash whether the log can be trusted.
 
 use std::fs::{File, OpenOptions, TryLockError};
-use std::os::unix::fs::FileExt;
+use std::os::unix::fs::{FileExt, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
+use super::FILE_MODE;
+use super::segment::is_at;
 use crate::RecordError;
 
 /// Name of the lock file.
@@ -66,6 +68,7 @@ impl Note {
             .read(true)
             .write(true)
             .truncate(false)
+            .mode(FILE_MODE)
             .open(&path);
         let file = opened.map_err(failed)?;
         match file.try_lock() {
@@ -84,6 +87,11 @@ impl Note {
             noted: Noted::of(&text[..length]),
             path,
         })
+    }
+
+    /// Returns `true` if the path still leads to this file.
+    pub(super) fn is_in_place(&self) -> bool {
+        is_at(&self.file, &self.path)
     }
 
     /// Returns whether the log contains all published frames, or `None` if that is unknown.
@@ -152,7 +160,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_noted_is_read_back_and_half_a_word_is_none() {
+    fn written_note_is_read_back_and_an_incomplete_word_is_ignored() {
         let folder = tempfile::tempdir().unwrap();
         let note = || Note::lock(folder.path()).unwrap();
         let found = |note: &Note| (note.is_complete(), note.allows_closed());

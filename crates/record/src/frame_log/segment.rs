@@ -3,14 +3,15 @@
 use std::borrow::Cow;
 use std::fs::{File, OpenOptions};
 use std::io::{Seek, SeekFrom, Write};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::LoggedFrames;
 use super::chunk::{RECORD_HEAD_BYTES, record_head};
 use super::layout::StatedLayout;
 use super::records::{put_begin, put_chunk, write_end};
 use super::scan::mended_end;
+use super::{FILE_MODE, LoggedFrames};
 use crate::RecordError;
 
 /// The name of a segment: epoch and sequence number of its first frame. The order of names is the
@@ -99,6 +100,13 @@ fn end_at(file: &mut File, whole: u64) -> std::io::Result<u64> {
     }
 }
 
+/// Returns `true` if a path leads to an open file.
+pub(super) fn is_at(file: &File, path: &Path) -> bool {
+    let identity = |metadata: std::fs::Metadata| (metadata.dev(), metadata.ino());
+    let (open, found) = (file.metadata().map(identity), path.metadata().map(identity));
+    matches!((open, found), (Ok(open), Ok(found)) if open == found)
+}
+
 /// A segment that is being written.
 pub(super) struct OpenSegment {
     name: SegmentName,
@@ -116,7 +124,11 @@ impl OpenSegment {
     /// An existing file of this name contains nothing readable and is renamed.
     pub(super) fn create(folder: &Path, name: SegmentName) -> Result<Self, RecordError> {
         let path = name.path(folder);
-        let create = || OpenOptions::new().write(true).create_new(true).open(&path);
+        let create = || {
+            let mut options = OpenOptions::new();
+            options.write(true).create_new(true).mode(FILE_MODE);
+            options.open(&path)
+        };
         let created = match create() {
             Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
                 set_aside(&path)?;
@@ -148,6 +160,11 @@ impl OpenSegment {
 
     pub(super) fn file(&self) -> &Arc<File> {
         &self.file
+    }
+
+    /// Returns `true` if the path still leads to this file.
+    pub(super) fn is_in_place(&self) -> bool {
+        is_at(&self.file, &self.path)
     }
 
     pub(super) fn bytes(&self) -> u64 {

@@ -130,7 +130,7 @@ fn rows_of(blocks: &[LoggedFrames]) -> Vec<(u64, Vec<u64>)> {
 }
 
 #[test]
-fn what_is_read_is_what_was_written_to_the_bit() {
+fn frames_are_read_back_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     let payload_of_nan = f64::from_bits(0xfff8_dead_beef_0001);
@@ -227,7 +227,7 @@ fn a_log_without_frames_is_empty() {
 }
 
 #[test]
-fn answers_are_joined_up_to_limit_and_bytes() {
+fn replies_are_joined_up_to_limit_and_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     for from in (0..50).step_by(5) {
@@ -270,7 +270,7 @@ fn answers_are_joined_up_to_limit_and_bytes() {
 }
 
 #[test]
-fn an_answer_stops_at_a_gap_and_the_next_one_shows_it() {
+fn reply_stops_at_a_gap_and_the_next_reply_starts_after_it() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 10, 5), frames(1, 20, 5)]).unwrap();
@@ -297,7 +297,7 @@ fn an_answer_stops_at_a_gap_and_the_next_one_shows_it() {
 }
 
 #[test]
-fn the_end_of_an_epoch_is_told_to_who_has_all_its_frames() {
+fn reader_with_all_frames_of_an_epoch_receives_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();
@@ -331,7 +331,7 @@ fn the_end_of_an_epoch_is_told_to_who_has_all_its_frames() {
 }
 
 #[test]
-fn frames_that_are_there_already_are_not_there_twice() {
+fn append_skips_frames_already_in_the_log() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     let other = |from, count: usize| LoggedFrames {
@@ -362,7 +362,7 @@ fn frames_that_are_there_already_are_not_there_twice() {
 }
 
 #[test]
-fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
+fn invalid_frames_are_rejected_without_a_trace_in_the_log() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(5, 0, 5), ended(frames(5, 5, 5))])
@@ -451,7 +451,7 @@ fn what_cannot_be_logged_is_refused_and_nothing_of_it_is_there() {
 }
 
 #[test]
-fn segments_follow_each_other_by_bytes_and_by_time() {
+fn new_segment_starts_after_the_limit_of_bytes_or_time() {
     let folder = tempfile::tempdir().unwrap();
     let settings = LogSettings {
         segment_s: 10,
@@ -485,7 +485,7 @@ fn segments_follow_each_other_by_bytes_and_by_time() {
 }
 
 #[test]
-fn many_segments_are_read_from_any_number_on() {
+fn many_segments_are_read_from_any_sequence_number() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = open_with(folder.path(), short_segments());
     for from in 0..300 {
@@ -520,7 +520,7 @@ fn many_segments_are_read_from_any_number_on() {
 }
 
 #[test]
-fn frames_are_where_the_rate_puts_them() {
+fn frame_times_follow_from_the_rate() {
     let of = |rate_hz, number| frame_time_ns(-5, rate_hz, number);
     assert_eq!(
         (of(120.0, 1), of(120.0, 2)),

@@ -47,7 +47,7 @@ fn read(bytes: &[u8]) -> Result<RecordedFile, RecordError> {
 }
 
 #[test]
-fn killed_writer_loses_its_last_chunk_alone() {
+fn killed_writer_loses_only_its_last_chunk() {
     // 5000 steps of two channels: two chunks of 4096 messages are complete, and 1808 messages are
     // lost.
     let file = read(&written(5000, true)).unwrap();
@@ -101,7 +101,7 @@ fn file_cut_anywhere_is_read_up_to_its_last_whole_chunk() {
 }
 
 #[test]
-fn damage_within_a_chunk_is_told_with_its_place() {
+fn error_names_the_position_of_damage_within_a_chunk() {
     let mut bytes = written(3000, false);
     let chunk = &mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes[0];
     let middle = chunk.chunk_start_offset + chunk.chunk_length / 2;

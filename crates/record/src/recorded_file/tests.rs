@@ -1,4 +1,4 @@
-use std::io::Write;
+use std::io::{Cursor, Write};
 
 use proptest::prelude::*;
 
@@ -41,7 +41,7 @@ fn names(file: &RecordedFile) -> Vec<&str> {
 }
 
 #[test]
-fn archive_gives_its_recordings_and_tells_what_is_none() {
+fn archive_returns_its_recordings_and_lists_skipped_files() {
     let (east, west) = (at2(0.25), at2(0.75));
     let members = [
         ("east.at2", east.as_bytes()),
@@ -58,7 +58,7 @@ fn archive_gives_its_recordings_and_tells_what_is_none() {
 }
 
 #[test]
-fn names_that_are_there_once_stay_as_they_are() {
+fn unique_channel_names_have_no_prefix() {
     let file = read_as(
         "event.zip",
         &zip_of(&[("a.at2", at2(0.25).as_bytes()), ("b.csv", TABLE.as_bytes())]),
@@ -107,7 +107,7 @@ fn archive_cut_anywhere_is_refused() {
 }
 
 #[test]
-fn archives_in_archives_have_an_end() {
+fn nesting_of_archives_is_limited() {
     let mut archive = zip_of(&[("a.csv", TABLE.as_bytes())]);
     for _ in 0..2 {
         archive = zip_of(&[("inner.zip", &archive)]);
@@ -256,7 +256,8 @@ proptest! {
             false => bytes,
         };
         let file = [BEGINNINGS[place], &bytes].concat();
-        let _ = Reading::of(&ReadOptions::default()).bytes(file, Path::new("x.csv"), 0);
+        let source = Source::new(Cursor::new(file)).unwrap();
+        let _ = Reading::of(&ReadOptions::default()).source(source, &Place::of(Path::new("x.csv")));
     }
 
     #[test]
@@ -264,6 +265,7 @@ proptest! {
         let mut file = format!("{:<124}", "MATLAB 5.0 MAT-file").into_bytes();
         file.extend(if is_big { [1, 0, b'M', b'I'] } else { [0, 1, b'I', b'M'] });
         file.extend(bytes);
-        let _ = Reading::of(&ReadOptions::default()).bytes(file, Path::new("x.mat"), 0);
+        let source = Source::new(Cursor::new(file)).unwrap();
+        let _ = Reading::of(&ReadOptions::default()).source(source, &Place::of(Path::new("x.mat")));
     }
 }

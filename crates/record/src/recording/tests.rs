@@ -72,7 +72,7 @@ fn one_row_has_no_rate() {
 }
 
 #[test]
-fn rows_after_the_look_ahead_follow_without_loss() {
+fn no_rows_are_lost_after_the_look_ahead() {
     let rows = all_rows(&mut recording(
         &regular_text(100.0, 3456, 2),
         OffsetRemoval::Keep,

@@ -551,7 +551,7 @@ mod tests {
     }
 
     #[test]
-    fn each_copy_has_a_name_of_its_own_and_is_the_same_otherwise() {
+    fn copies_differ_only_in_their_names() {
         let copies = named(BUILT_IN, Path::new(BUILT_IN_NAME), 3).unwrap();
         let names: Vec<&str> = copies
             .iter()
@@ -562,7 +562,7 @@ mod tests {
     }
 
     #[test]
-    fn threads_are_told_apart_by_their_names() {
+    fn threads_are_grouped_by_name() {
         assert_eq!(group("filter-1"), "filters");
         assert_eq!(
             (group("tokio-runtime-w"), group("recording")),

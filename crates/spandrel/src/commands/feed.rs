@@ -5,7 +5,7 @@ use crate::cli::FeedArguments;
 use crate::error::AppError;
 use crate::services::{Share, block_on, interrupted, read_structures};
 use crate::settings::Settings;
-use spandrel_feed::{CheckedChannel, CheckedSource, FeedError, listen};
+use spandrel_feed::{CheckedChannel, CheckedCondition, CheckedSource, FeedError, listen};
 use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -68,6 +68,9 @@ fn text(sources: &[CheckedSource], drops: &BTreeMap<String, u64>, remarks: &[Str
         for channel in &source.channels {
             text.push_str(&line(channel));
         }
+        for condition in &source.conditions {
+            text.push_str(&condition_line(condition));
+        }
         for (label, samples) in &source.unmapped {
             let _ = writeln!(
                 text,
@@ -82,6 +85,22 @@ fn text(sources: &[CheckedSource], drops: &BTreeMap<String, u64>, remarks: &[Str
         let _ = writeln!(text, "{remark}");
     }
     text
+}
+
+fn condition_line(condition: &CheckedCondition) -> String {
+    let CheckedCondition {
+        label,
+        structure,
+        name,
+        unit,
+        values,
+        last,
+    } = condition;
+    let place = format!("  {label} -> {structure}/condition/{name}");
+    match last {
+        Some(last) => format!("{place}: {values} values, last {last} {unit}\n"),
+        None => format!("{place}: no values\n"),
+    }
 }
 
 fn line(channel: &CheckedChannel) -> String {

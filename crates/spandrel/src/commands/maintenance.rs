@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn maintenance_needs_an_end_in_the_next_thirty_days_and_a_reason() {
+    fn maintenance_requires_an_end_within_thirty_days_and_a_reason() {
         let begins = of(&["--until", "1795220274", "--reason", "paint"])
             .unwrap()
             .unwrap();

@@ -8,9 +8,9 @@ use crate::role_check::{Need, Work, cannot_acknowledge, check};
 use crate::services::{Running, Share, Watched, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use crate::state::State;
-use crate::supervision::{Hangups, feed_watchdog, tell_systemd};
+use crate::supervision::{Hangups, feed_watchdog, keep_folders, tell_systemd};
 use sd_notify::NotifyState;
-use spandrel_bus::{Bus, Service};
+use spandrel_bus::{Bus, Keys, Service};
 use spandrel_dashboard::PageSettings;
 use spandrel_feed::{FeedConfig, FeedError, WhenEnded};
 use spandrel_history::Address;
@@ -158,6 +158,12 @@ impl Plan {
             state,
             feed,
         })
+    }
+
+    /// Returns the keys of all structures.
+    fn keys(&self) -> Vec<Keys> {
+        let keys = self.watched.iter().map(|watched| watched.keys.clone());
+        keys.collect()
     }
 
     /// Rejects a certificate that does not grant the rights that the services need.
@@ -309,6 +315,7 @@ pub fn run(
                 () = &mut interrupted => Ended::Done(Ok(())),
                 next = hangups.read(|| Plan::read(arguments, services, share, page)) => Ended::Anew(Box::new(next)),
                 never = feed_watchdog(pool) => never,
+                never = keep_folders(plan.state.as_ref(), plan.keys()) => never,
             };
             if matches!(ended, Ended::Done(_)) {
                 tell_systemd(NotifyState::Stopping);

@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn without_a_word_on_the_bus_it_joins_the_one_on_this_machine_as_a_client() {
+    fn default_bus_is_the_one_on_this_machine() {
         let joined = joining_by_default(BusConfig {
             root: "here".to_owned(),
             ..BusConfig::default()
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_says_how_to_join_is_believed() {
+    fn explicit_bus_settings_are_kept() {
         let endpoint = || vec!["tcp/127.0.0.1:7000".to_owned()];
         for said in [
             BusConfig {

@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_told_with_their_reasons() {
+    fn summary_lists_shares_with_their_reasons() {
         let undecided = [
             (UndecidedBecause::NothingLearnt, 0.1),
             (UndecidedBecause::FitContradicted, 0.018),

@@ -91,7 +91,7 @@ mod tests {
     use spandrel_bus::FitReason;
 
     #[test]
-    fn small_and_large_shares_are_told_from_none_and_all() {
+    fn small_and_large_shares_are_not_rounded_to_0_and_100_percent() {
         assert_eq!(
             [0.0, 0.0004, 0.0006, 0.5, 0.9996, 1.0].map(percent),
             [
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn verdict_is_that_of_the_end_with_the_share_of_each() {
+    fn summary_has_the_final_verdict_and_the_share_of_each() {
         let mut collector = FitCollector::default();
         assert_eq!(collector.finish(), None);
         let flags = |verdict, reasons: &[FitReason]| EstimateFlags {

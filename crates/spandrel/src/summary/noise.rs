@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_far_above_the_stated_one_is_warned_of() {
+    fn noise_far_above_the_stated_level_gives_a_warning() {
         assert_eq!(floors(0.02), None);
         let told = "noise of floors is 28 times what the file states: a swapped channel, a channel \
                     with a wrong sign or unit, or a model that does not fit";

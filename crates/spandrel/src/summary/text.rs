@@ -217,7 +217,7 @@ mod tests {
     use spandrel_bus::AlertState;
 
     #[test]
-    fn loss_at_first_is_told_where_the_sentence_states_another_one() {
+    fn first_loss_is_reported_if_the_sentence_states_another_loss() {
         let alert = |revisions, loss| AlertSummary {
             parameter: "storey-2".to_owned(),
             state: AlertState::Raised,

@@ -143,7 +143,7 @@ mod tests {
     };
 
     #[test]
-    fn bar_shows_mean_interval_limit_and_reference_in_their_places() {
+    fn bar_shows_mean_interval_limit_and_reference_at_their_positions() {
         // 40 cells of 0.01: mean 0.905 in cell 10, interval in 7 to 13, limit 0.945 in 14,
         // reference 1.005 in 20.
         let expected = format!("{}━━━●━━━┊     │{}", " ".repeat(7), " ".repeat(19));
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interval_over_the_limit_shows_both() {
+    fn limit_is_visible_within_the_interval() {
         let bar = AXIS.bar(40, &marks(0.975, 0.04));
         assert!(bar.contains("━╋━━●━━━━"), "{bar}");
     }
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn no_width_and_absurd_values_are_drawn_somewhere() {
+    fn bar_has_the_given_width_for_any_values() {
         for width in [0, 1, 2, 7] {
             for mean in [-1e300, 0.0, 1e300] {
                 assert_eq!(AXIS.bar(width, &marks(mean, 1e300)).chars().count(), width);
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn trend_falls_with_the_values_and_shows_gaps() {
+    fn trend_follows_the_values_and_shows_gaps() {
         let values = [Some(1.19), Some(1.0), None, Some(0.81)];
         assert_eq!(AXIS.trend(6, values.into_iter()), "  █▅ ▁");
     }

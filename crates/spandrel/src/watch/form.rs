@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_cannot_acknowledge() {
+    fn acknowledgement_requires_a_name() {
         let mut form = Form::new(String::new());
         assert_eq!(
             typed(
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_name_leads_to_the_note() {
+    fn form_with_a_known_name_starts_at_the_note() {
         assert_eq!(Form::new("anna".to_owned()).field, Field::Note);
     }
 

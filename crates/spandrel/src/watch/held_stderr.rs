@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn held_lines_are_bounded_and_stay_whole() {
+    fn held_lines_are_bounded_and_complete() {
         let mut held = Held::default();
         let line = [b"x".repeat(99).as_slice(), b"\n"].concat();
         for _ in 0..1000 {

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_is_a_line_with_its_state_distance_and_traffic() {
+    fn line_of_a_node_has_state_distance_and_traffic() {
         let mut silent = node("floor-8", 60, NodeHealth::Silent);
         (silent.silent_since_ns, silent.distance) = (Some(silent.time_ns - 12_000_000_000), None);
         let mut excluded = node("floor-20", 60, NodeHealth::Excluded);
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn a_discounted_node_says_what_it_counts() {
+    fn line_of_a_discounted_node_has_its_weight() {
         let mut discounted = node("floor-20", 60, NodeHealth::Used);
         (discounted.distance, discounted.weight) = (Some(7.2), Some(0.5625));
         assert_eq!(
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn traffic_is_that_of_the_last_seconds_and_begins_anew_with_the_station() {
+    fn traffic_covers_the_last_seconds_and_restarts_with_the_station() {
         let mut late = node("floor-1", 200, NodeHealth::Used);
         late.bytes_received += 1000;
         let told =

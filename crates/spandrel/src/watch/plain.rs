@@ -3,6 +3,7 @@
 //! There is one line per change of an alert, and one line per second and structure. Each
 //! distributed node has a line from [`plain_line`](super::nodes::plain_line).
 
+use super::conditions::condition_texts;
 use super::heard::Origin;
 use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
@@ -74,8 +75,13 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         .classes
         .as_ref()
         .map(|classes| format!("; class {}", leading_class(classes)));
+    let conditions: Vec<String> = condition_texts(structure).collect();
+    let conditions = match conditions.is_empty() {
+        true => String::new(),
+        false => format!("; {}", conditions.join(", ")),
+    };
     format!(
-        "{}{} {name} {}{}{}{}{}{}",
+        "{}{} {name} {}{}{}{}{conditions}{}",
         time(time_ns),
         match Origin::of(structure) {
             Origin::Measured => "",
@@ -175,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn stale_data_and_services_that_are_gone_are_marked() {
+    fn stale_data_and_ended_services_are_marked() {
         let mut heard = heard([
             Input::Parameter(parameter("storey-1", 0, 1.0, 0.1)),
             present(&[(Service::Ingest, "a")]),
@@ -198,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_or_simulation_has_its_time_and_no_lag() {
+    fn replayed_data_have_their_own_time_and_no_lag() {
         let mut tower = damaged_tower();
         let ingest = Status {
             pace: Some(Pace::Replayed),
@@ -218,7 +224,7 @@ mod tests {
 
     /// Regression test: for some seconds after a restart, these values counted as newly measured.
     #[test]
-    fn values_that_are_read_again_from_the_recording_say_so() {
+    fn reread_values_are_marked() {
         let known = Input::Ingested(name("tower"), progress(7, 60));
         let mut heard = heard([known, Input::Parameter(parameter("storey-1", 58, 1.0, 0.1))]);
         let told =
@@ -235,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn before_the_first_value_there_are_no_data() {
+    fn line_states_that_no_data_have_arrived() {
         assert_eq!(
             line(&heard([present(&[(Service::Ingest, "a")])])),
             "tower no data yet; ingest/a"
@@ -243,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn alerts_that_stand_after_the_last_value_are_told() {
+    fn active_alerts_are_shown_without_data() {
         let raised = Input::StandingAlert(alert("storey-2", 45, AlertState::Raised));
         let told = line(&heard([present(&[(Service::Alert, "a")]), raised]));
         assert_eq!(
@@ -253,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn leading_class_is_told_with_its_plausibility() {
+    fn leading_class_is_shown_with_its_plausibility() {
         let mut tower = damaged_tower();
         tower.handle(
             Input::Classes(classes("storey-2", 0.982, 3)),

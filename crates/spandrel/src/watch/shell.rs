@@ -22,6 +22,7 @@ const NEEDS: Needs = Needs {
         T::Parameters,
         T::Losses,
         T::Noise,
+        T::Conditions,
         T::Classes,
         T::Fit,
         T::Monitoring,
@@ -227,7 +228,7 @@ mod tests {
     const DEADLINE: Duration = Duration::from_secs(30);
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn an_acknowledgement_reaches_whoever_listens_for_it() {
+    async fn acknowledgement_is_published_on_its_key() {
         let config = BusConfig {
             listen: vec!["tcp/127.0.0.1:0".into()],
             ..BusConfig::default()

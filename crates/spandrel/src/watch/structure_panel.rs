@@ -1,5 +1,6 @@
 //! One structure on the screen: its parameters, noise levels and services.
 
+use super::conditions::condition_spans;
 use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, Origin, ParameterHeard};
 use super::natural_name::in_order;
@@ -13,8 +14,8 @@ use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay, MonitoringState,
-    Name, NoiseDisplay, Service, Standing,
+    AlertMessage, AlertState, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay,
+    MonitoringState, Name, NoiseDisplay, Service, Standing,
 };
 use spandrel_listener::{InstanceState, StructureState};
 
@@ -71,7 +72,12 @@ impl StructurePanel {
         let rows = parameters.iter().map(|parameter| {
             let alert = match structure.alerts.get(&parameter.display.parameter) {
                 Some(alert) if structure.is_alert_stale(&alert.parameter) => AlertCell::Stale,
-                Some(alert) => AlertCell::Of(alert),
+                Some(alert) => match structure.unwatched(&alert.parameter) {
+                    Some(unwatched) if alert.state == AlertState::Normal => {
+                        AlertCell::Unwatched(unwatched.state)
+                    }
+                    _ => AlertCell::Of(alert),
+                },
                 None => AlertCell::Unheard,
             };
             let row = row(axis, columns, &losses, parameter, alert);
@@ -135,6 +141,8 @@ enum AlertCell<'a> {
     Unheard,
     /// The service of the alert has disappeared.
     Stale,
+    /// The parameter was normal, and the present data do not reveal its damage.
+    Unwatched(MonitoringState),
     Of(&'a AlertMessage),
 }
 
@@ -255,6 +263,7 @@ fn row(
     let (state, style) = match alert {
         AlertCell::Unheard => ("–", Style::new()),
         AlertCell::Stale => ("stale", Style::new().add_modifier(Modifier::DIM)),
+        AlertCell::Unwatched(state) => (state.as_str(), state_style(AlertState::Undecided)),
         AlertCell::Of(alert) => (alert.state.as_str(), state_style(alert.state)),
     };
     let bar = axis.bar(columns.bar, &Marks::new(display, loss));
@@ -329,6 +338,9 @@ fn footer(
         let levels = in_order(&structure.noise).into_iter();
         let levels = levels.map(|(_, level)| Span::raw(noise_level(level)));
         lines.extend(flow("noise (std)  ", levels.collect(), width));
+    }
+    if !structure.conditions.is_empty() {
+        lines.extend(flow("conditions   ", condition_spans(structure), width));
     }
     if let Some(monitoring) = structure.monitoring() {
         let style = match monitoring.state {

@@ -2,9 +2,9 @@
 
 use super::heard::Heard;
 use spandrel_bus::{
-    AlertMessage, AlertState, ClassPlausibility, CredibleInterval, Event, EventKind, Header,
-    LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace,
-    ParameterDisplay, Progress, Service, Status,
+    AlertMessage, AlertState, ClassPlausibility, ConditionDisplay, CredibleInterval, Event,
+    EventKind, Header, LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay,
+    Pace, ParameterDisplay, Progress, Service, Status,
 };
 use spandrel_listener::{Input, Instance};
 use std::collections::{BTreeMap, BTreeSet};
@@ -118,6 +118,19 @@ pub fn node(node: &str, second: i64, state: NodeHealth) -> NodeDisplay {
     }
 }
 
+/// Returns a condition of `tower` in °C that is expected every ten minutes.
+pub fn condition(condition: &str, value: f64) -> ConditionDisplay {
+    ConditionDisplay {
+        structure: name("tower"),
+        name: name(condition),
+        time_ns: TIME_NS,
+        value,
+        unit: "degC".to_owned(),
+        interval_s: Some(600.0),
+        instrument: None,
+    }
+}
+
 pub fn event(what: &str, why: &str) -> Event {
     Event {
         structure: name("tower"),
@@ -142,7 +155,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         fit: None,
         undecided: BTreeMap::new(),
         instruments: BTreeMap::new(),
-        clocks: std::collections::BTreeMap::new(),
+        clocks: BTreeMap::new(),
         maintenance: Vec::new(),
         state: None,
         done: 1200,

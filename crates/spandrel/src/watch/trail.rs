@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_value_ends_the_trail_where_it_belongs() {
+    fn late_value_truncates_the_trail_at_its_time() {
         assert_eq!(
             trail(&[(0, 1.0), (2, 2.0), (4, 3.0), (2, 4.0)]),
             [Some(1.0), Some(3.0)]

@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_acknowledged_already_is_not_asked_for_again() {
+    fn acknowledged_alert_opens_no_form() {
         let mut view = view(heard([Input::Alert(alert(
             "storey-2",
             1,
@@ -466,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn an_acknowledgement_that_would_be_dropped_is_not_asked_for() {
+    fn role_without_the_right_to_acknowledge_opens_no_form() {
         let why = "role viewer may not acknowledge; roles that may: server, operator";
         let around = Around {
             cannot_acknowledge: Some(why.to_owned()),
@@ -485,7 +485,7 @@ mod tests {
     /// Regression test: an acknowledgement that no service accepted was reported as sent, without
     /// any later notice.
     #[test]
-    fn an_acknowledgement_is_told_as_taken_or_not() {
+    fn acceptance_or_loss_of_an_acknowledgement_is_shown() {
         let sent = || {
             let mut view = view(damaged_tower());
             view.heard.handle(at(100), &mut Vec::new());
@@ -513,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn a_notice_goes_after_a_while() {
+    fn notice_disappears_within_nine_seconds() {
         let mut view = view(heard([at(100)]));
         press(&mut view, [KeyCode::Char('a')]);
         assert_eq!(view.notice(), Some("no alert to acknowledge"));
@@ -522,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_alert_does_not_move_the_choice() {
+    fn new_alert_does_not_change_the_selection() {
         let mut view = view(heard([
             Input::Alert(alert("storey-1", 10, AlertState::Raised)),
             Input::Alert(alert("storey-2", 20, AlertState::Raised)),
@@ -543,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn tab_goes_around_the_structures() {
+    fn tab_cycles_through_the_structures() {
         let of = |structure: &str| {
             let mut display = parameter("storey-1", 0, 1.0, 0.1);
             display.structure = name(structure);
@@ -560,7 +560,7 @@ mod tests {
     }
 
     #[test]
-    fn help_is_left_by_any_key() {
+    fn any_key_closes_the_help() {
         let mut view = View::default();
         press(&mut view, [KeyCode::Char('?')]);
         assert_eq!(*view.mode(), Mode::Help);

@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn probabilities_never_read_as_certainty() {
+    fn probabilities_are_never_shown_as_0_or_1() {
         for (value, expected) in [
             (0.0, "< 0.1 %"),
             (0.012, "1.2 %"),
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_levels_have_three_digits_whatever_their_size() {
+    fn noise_levels_have_three_significant_digits() {
         for (value, expected) in [
             (0.1, "0.100"),
             (0.005, "0.00500"),
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn spans_are_told_in_the_unit_that_suits_them() {
+    fn durations_have_a_suitable_unit() {
         for (value, expected) in [
             (0.12, "0.12 s"),
             (12.9, "12 s"),
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_whole_where_they_can_be() {
+    fn whole_percentages_have_no_decimals() {
         assert_eq!(
             (share(0.05), share(0.125)),
             ("5 %".to_owned(), "12.5 %".to_owned())
@@ -204,14 +204,14 @@ mod tests {
     }
 
     #[test]
-    fn time_of_a_record_is_in_seconds_and_that_of_a_clock_by_the_calendar() {
+    fn times_of_records_are_in_seconds_and_times_of_clocks_are_dates() {
         assert_eq!(time(61_200_000_000), "61.20 s");
         assert_eq!(time(1_709_208_000_000_000_001), "2024-02-29 12:00:00 UTC");
         assert_eq!(time(i64::MIN), "1677-09-21 00:12:43 UTC");
     }
 
     #[test]
-    fn texts_from_outside_cannot_steer_the_terminal() {
+    fn external_texts_cannot_control_the_terminal() {
         assert_eq!(printable("a\u{1b}[2Jb\nc"), "a [2Jb c");
     }
 }

@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn items_flow_and_are_never_broken() {
+    fn lines_break_only_between_items() {
         let items = ["ingest 0.1 s", "identify 0.2 s", "alert 0.3 s"]
             .map(Span::raw)
             .to_vec();

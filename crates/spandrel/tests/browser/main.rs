@@ -12,6 +12,7 @@
 )]
 
 mod chromium;
+mod conditions;
 mod layout;
 #[path = "../../../../tests/support/skip.rs"]
 mod skip;

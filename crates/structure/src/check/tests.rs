@@ -51,7 +51,7 @@ noise-std = 1e-7
 /// `I = (k σ_x/σ_f)²`. White samples give `σ_x² = σ_f² Δt / (2 c k)`, hence `I = k Δt / (2 c)` per
 /// frame.
 #[test]
-fn a_perfect_sensor_holds_the_information_of_the_equation_of_motion() {
+fn perfect_sensor_has_the_information_of_the_equation_of_motion() {
     let information = Information::expected(&parse(OSCILLATOR), 400_000, 1).unwrap();
     let expected = 200.0 / 400.0 / (2.0 * 0.8 * 2.0);
     let found = information.held[(0, 0)];
@@ -69,7 +69,7 @@ fn a_perfect_sensor_holds_the_information_of_the_equation_of_motion() {
 
 /// A level known from `N` perfect samples has the relative standard deviation `1/√(2N)`.
 #[test]
-fn a_level_seen_directly_is_known_as_a_variance_of_samples() {
+fn directly_measured_level_has_the_information_of_a_sample_variance() {
     let information = Information::expected(&parse(OSCILLATOR), 4000, 1).unwrap();
     // ½ per frame for the logarithm of the variance.
     assert!(
@@ -113,7 +113,7 @@ fn deviations_fall_with_the_root_of_the_duration() {
 }
 
 #[test]
-fn without_a_sensor_at_the_ground_storey_1_rests_on_the_level_of_the_motion() {
+fn storey_1_depends_on_the_level_without_a_ground_sensor() {
     let report = parse(OUTPUT_ONLY).check(60.0, 1);
     let rests: Vec<_> = report
         .findings
@@ -141,7 +141,7 @@ fn without_a_sensor_at_the_ground_storey_1_rests_on_the_level_of_the_motion() {
 /// A run of the filter on this building had errors of −0.35 and +0.38 in storey 1 when the stated
 /// level was wrong by a factor of two.
 #[test]
-fn a_level_that_is_fixed_is_warned_of_with_what_a_wrong_one_does() {
+fn warning_of_a_fixed_level_states_the_effect_of_a_wrong_level() {
     let report = parse(&OUTPUT_ONLY.replace("level-factor = 3 ", "adapt = false #")).check(20.0, 1);
     let shifts = report.findings.iter().find_map(|finding| match finding {
         Finding::LevelAssumed { level, shifts, .. } if level == "ground" => Some(shifts),
@@ -163,7 +163,7 @@ fn a_level_that_is_fixed_is_warned_of_with_what_a_wrong_one_does() {
 }
 
 #[test]
-fn what_the_file_says_to_be_known_spoils_nothing() {
+fn known_level_causes_no_error() {
     let structure = parse(&OUTPUT_ONLY.replace("level-factor = 3 ", "level-factor = 1 #"));
     assert_eq!(structure.errors_by_unmeasured_excitation(), [0.0; 6]);
     assert_eq!(
@@ -187,7 +187,7 @@ fn with_fixed_damping() -> String {
 }
 
 #[test]
-fn damping_that_is_fixed_is_warned_of_unless_it_is_said_to_be_known() {
+fn fixed_damping_gives_a_warning_unless_declared_known() {
     let assumed = |text: &str| {
         let findings = parse(text).check(5.0, 1).findings;
         findings.into_iter().find_map(|finding| match finding {
@@ -211,7 +211,7 @@ fn damping_that_is_fixed_is_warned_of_unless_it_is_said_to_be_known() {
 
 /// A held measured record is late by half a step, regardless of the simulated hold.
 #[test]
-fn a_hold_that_reaches_into_the_band_is_warned_of() {
+fn hold_that_affects_the_band_gives_a_warning() {
     let found = |text: &str| {
         let findings = parse(text).check(2.0, 1).findings;
         findings
@@ -253,7 +253,7 @@ fn a_hold_that_reaches_into_the_band_is_warned_of() {
 }
 
 #[test]
-fn designs_that_no_building_has_are_warned_of() {
+fn implausible_designs_give_warnings() {
     let kinds = |from: &str, to: &str| {
         assert!(DEMO.contains(from), "{from}");
         let findings = parse(&DEMO.replace(from, to)).check(0.5, 1).findings;
@@ -301,7 +301,7 @@ fn designs_that_no_building_has_are_warned_of() {
 }
 
 #[test]
-fn a_report_lists_what_no_check_can_know() {
+fn report_lists_assumptions_that_cannot_be_checked() {
     assert!(!parse(DEMO).assumptions().contains(&Assumption::Damping));
     let fixed = parse(&with_fixed_damping()).assumptions();
     assert_eq!(fixed.len(), 6);
@@ -317,7 +317,7 @@ fn a_filter_that_adapts_the_level_of_an_unmeasured_ground_motion_is_slow() {
 
 /// Two parameters on parallel springs between the same two points have the same effect.
 #[test]
-fn springs_in_parallel_cannot_be_told_apart() {
+fn parallel_springs_are_not_identifiable() {
     let folder = tempfile::tempdir().unwrap();
     for (name, value) in [("m.mtx", 2), ("k.mtx", 100)] {
         let text = format!("%%MatrixMarket matrix coordinate real general\n1 1 1\n1 1 {value}\n");
@@ -347,7 +347,7 @@ fn springs_in_parallel_cannot_be_told_apart() {
 }
 
 #[test]
-fn a_parameter_that_the_data_hardly_inform_is_warned_of() {
+fn parameter_with_little_information_gives_a_warning() {
     let text = DEMO.replace(
         "scales = \"damping\"\nof = \"all\" ",
         "scales = \"damping-alpha\"\n#",
@@ -494,7 +494,7 @@ fn time_in_which_an_error_decays_is_positive_or_infinite() {
 }
 
 #[test]
-fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
+fn modes_are_selected_by_mass_and_missing_mass_gives_a_warning() {
     // The seventh mode of the bridge carries two thirds of the mass.
     let bridge = include_str!("../../../../docs/examples/two-pier-bridge.toml");
     let (start, end) = (
@@ -536,7 +536,7 @@ fn modes_are_chosen_by_mass_and_those_that_miss_some_are_warned_of() {
 /// If every node is slower than the frames, the report equals that of a structure with equally slow
 /// frames. Only the information between the samples is lost.
 #[test]
-fn slower_nodes_are_counted_by_what_they_measure() {
+fn information_of_slower_nodes_is_that_of_their_samples() {
     let settling = |text: &str| {
         let report = parse(text).check(600.0, 1);
         let identification = report
@@ -580,7 +580,7 @@ fn of_particles(text: &str) -> Vec<Finding> {
 }
 
 #[test]
-fn a_small_state_is_fast_enough_for_particles_and_a_large_one_is_warned_of() {
+fn large_state_gives_a_warning_with_particles() {
     let found = of_particles(PARTICLES);
     let [
         Finding::ParticlesInTime {

@@ -112,7 +112,7 @@ fn classes_are_the_full_model_with_multipliers_in_common() {
 }
 
 #[test]
-fn examples_make_the_published_classes() {
+fn examples_have_the_published_classes() {
     let high_rise = example("high-rise.toml").class_bank().unwrap().unwrap();
     assert_eq!(
         (0..5)

@@ -75,7 +75,7 @@ fn every_example_is_read() {
 }
 
 #[test]
-fn the_demo_says_what_its_file_says() {
+fn demo_has_the_values_of_its_file() {
     let demo = read(DEMO).unwrap();
     assert_eq!(
         (demo.name(), demo.sampling_rate_hz(), demo.display_rate_hz()),
@@ -130,7 +130,7 @@ fn a_record_map_turns_units_into_si() {
 }
 
 #[test]
-fn a_record_map_says_how_times_and_rates_become_those_of_the_structure() {
+fn record_map_converts_times_and_rates() {
     let plain = read(DEMO).unwrap();
     let record = plain.record();
     assert_eq!(
@@ -161,7 +161,7 @@ fn a_record_map_says_how_times_and_rates_become_those_of_the_structure() {
 
 /// The channels of a node can fail together, unless it is the only node.
 #[test]
-fn the_sensors_of_the_filter_are_the_nodes() {
+fn channels_of_one_node_are_one_sensor_unless_it_is_the_only_node() {
     let sensors = |change: &dyn Fn(&str) -> String| {
         let structure = Structure::parse(&change(DEMO), Path::new("demo.toml")).unwrap();
         structure.filter_settings().unwrap().sensors
@@ -198,7 +198,7 @@ fn filter_settings_are_in_steps_and_variances() {
 }
 
 #[test]
-fn a_message_has_file_line_key_what_was_found_and_what_is_allowed() {
+fn error_has_file_line_key_found_and_allowed_values() {
     let text = DEMO.replace("loss = 0.05", "loss = 1.5");
     let line = line_of(&text, "loss = 1.5");
     let path = examples().join("tower.toml");
@@ -236,7 +236,7 @@ fn all_mistakes_are_reported_at_once_in_the_order_of_the_file() {
 }
 
 #[test]
-fn an_unknown_key_brings_a_suggestion() {
+fn unknown_key_gives_a_suggestion() {
     assert_eq!(
         mistakes_after("half-life-s = 10", "half-live-s = 10"),
         ["filter.half-live-s: is not a known key, did you mean \"half-life-s\"?"]
@@ -338,7 +338,7 @@ fn missing_tables_are_reported() {
 }
 
 #[test]
-fn a_parameter_that_scales_nothing_known_is_refused() {
+fn parameter_without_a_known_substructure_is_rejected() {
     assert_eq!(
         mistakes_after("of = [\"storey-3\"]", "of = [\"storey-33\"]"),
         [
@@ -368,7 +368,7 @@ fn a_parameter_without_effect_is_refused() {
 }
 
 #[test]
-fn what_is_scaled_twice_is_refused() {
+fn substructure_scaled_twice_is_rejected() {
     assert_eq!(
         mistakes_after("of = [\"storey-2\"]", "of = [\"storey-1\", \"storey-2\"]"),
         [
@@ -378,7 +378,7 @@ fn what_is_scaled_twice_is_refused() {
 }
 
 #[test]
-fn names_that_occur_twice_are_refused() {
+fn repeated_names_are_rejected() {
     assert_eq!(
         mistakes_after("name = \"storey-2\"", "name = \"storey-1\"")[0],
         "parameter.name: repeats \"storey-1\", must be unique"
@@ -400,7 +400,7 @@ fn names_that_occur_twice_are_refused() {
 }
 
 #[test]
-fn a_name_that_is_no_key_chunk_is_refused() {
+fn name_with_invalid_characters_is_rejected() {
     assert_eq!(
         mistakes_after("name = \"demo\"", "name = \"Demo/Tower\""),
         [
@@ -410,7 +410,7 @@ fn a_name_that_is_no_key_chunk_is_refused() {
 }
 
 #[test]
-fn a_ground_channel_that_nothing_uses_is_refused() {
+fn unused_ground_channel_is_rejected() {
     assert_eq!(
         mistakes_after("measured-on = \"ground\"\n", ""),
         [
@@ -430,7 +430,7 @@ fn a_ground_channel_that_nothing_uses_is_refused() {
 }
 
 #[test]
-fn a_group_of_sensors_must_agree_on_its_noise() {
+fn sensors_of_one_noise_group_must_have_the_same_noise() {
     let second = DEMO.find("name = \"floor-2\"\nquantity").unwrap();
     let (head, tail) = DEMO.split_at(second);
     let text = head.to_owned() + &tail.replacen("noise-std = 0.005", "noise-std = 0.01", 1);
@@ -510,7 +510,7 @@ fn text_that_is_not_toml_is_refused_with_its_line() {
 }
 
 #[test]
-fn a_missing_file_is_not_a_mistake_of_the_file() {
+fn missing_file_is_not_reported_as_a_mistake_in_the_file() {
     let error = Structure::read(Path::new("/nowhere/tower.toml")).unwrap_err();
     assert!(matches!(error, StructureError::Unreadable { .. }));
     assert_eq!(error.to_string(), "/nowhere/tower.toml: cannot be read");
@@ -523,7 +523,7 @@ proptest::proptest! {
     }
 
     #[test]
-    fn any_line_may_be_lost(line in 0usize..150) {
+    fn file_without_any_one_line_causes_no_panic(line in 0usize..150) {
         let text: Vec<&str> = DEMO.lines().enumerate().filter(|(n, _)| *n != line).map(|(_, l)| l).collect();
         let _ = read(&text.join("\n"));
     }
@@ -795,7 +795,7 @@ fn numbers_that_would_overflow_or_stall_a_filter_are_refused() {
 }
 
 #[test]
-fn recording_in_the_place_of_a_structure_is_told_in_one_line() {
+fn recording_given_as_a_structure_is_one_error() {
     let text = "time,a,b\n".to_owned() + &"0.1,2,3\n".repeat(500);
     let told = |name: &str| {
         Structure::parse(&text, Path::new(name))
@@ -814,7 +814,7 @@ const GROUND: &str = include_str!("../../../../docs/examples/fifty-storeys.toml"
 const WIND: &str = include_str!("../../../../docs/examples/fifty-storeys-wind.toml");
 
 #[test]
-fn a_field_of_forces_is_the_published_wind() {
+fn field_of_forces_equals_the_published_wind() {
     let structure = read(WIND).unwrap();
     assert_eq!(structure.excitations()[0].component_len(), 50);
     assert_eq!(structure.excitation_channels().len(), 50);
@@ -865,7 +865,7 @@ fn a_covariance_from_a_file_is_that_of_the_formula() {
 }
 
 #[test]
-fn mistakes_of_a_field_of_forces_are_told() {
+fn error_names_mistakes_of_a_field_of_forces() {
     let found = |from: &str, to: &str| {
         assert!(WIND.contains(from));
         mistakes(&WIND.replacen(from, to, 1))
@@ -905,7 +905,7 @@ fn mistakes_of_a_field_of_forces_are_told() {
 }
 
 #[test]
-fn without_parameters_the_filter_neither_forgets_the_motion_nor_distrusts_the_start() {
+fn filter_without_parameters_has_no_fading_and_no_annealing() {
     let structure = read(GROUND).unwrap();
     let settings = structure.filter_settings().unwrap();
     assert_eq!((settings.fading.value(), settings.annealing), (1.0, None));
@@ -918,7 +918,7 @@ fn without_parameters_the_filter_neither_forgets_the_motion_nor_distrusts_the_st
 }
 
 #[test]
-fn what_needs_a_parameter_is_refused_without_one() {
+fn settings_that_require_a_parameter_are_rejected_without_one() {
     assert_eq!(
         mistakes(&(GROUND.to_owned() + "\n[[alert]]\nparameters = \"all\"\nloss = 0.1\n")),
         ["alert: is given, must not be given without a [[parameter]]: an alert watches parameters"]
@@ -971,7 +971,7 @@ fn a_response_is_a_displacement_a_velocity_or_a_strain() {
 }
 
 #[test]
-fn a_reference_is_learnt_for_thirty_periods_or_three_half_lives_unless_the_file_says_otherwise() {
+fn default_learning_time_is_thirty_periods_or_three_half_lives() {
     let reference = |text: &str| read(text).unwrap().alert_rules()[0].reference.clone();
     let without = DEMO.replace("reference = { learn-s = 30 }", "");
     let Reference::Baseline { learn_s } = reference(&without) else {
@@ -998,7 +998,7 @@ fn a_reference_is_learnt_for_thirty_periods_or_three_half_lives_unless_the_file_
 }
 
 #[test]
-fn a_design_without_a_deviation_is_refused_with_what_to_write() {
+fn error_suggests_a_deviation_for_the_design_reference() {
     let found = |to: &str| mistakes(&DEMO.replace("{ learn-s = 30 }", to));
     assert_eq!(
         found("\"design\""),
@@ -1018,7 +1018,7 @@ fn a_design_without_a_deviation_is_refused_with_what_to_write() {
 }
 
 #[test]
-fn a_rule_for_stiffness_watches_no_damping() {
+fn stiffness_rule_excludes_damping() {
     assert_eq!(
         read(DEMO).unwrap().alert_rules()[0].parameters,
         [0, 1, 2, 3, 4]
@@ -1031,7 +1031,7 @@ fn a_rule_for_stiffness_watches_no_damping() {
 }
 
 #[test]
-fn a_measured_excitation_runs_straight_and_an_unmeasured_one_is_held() {
+fn measured_excitation_is_interpolated_and_unmeasured_excitation_is_held() {
     use spandrel_filter::InputHold;
     let hold = |text: &str| read(text).unwrap().filter_settings().unwrap().input_hold;
     assert_eq!(hold(DEMO), InputHold::First);
@@ -1114,7 +1114,7 @@ fn particles_are_read_with_their_keys_and_defaults() {
 }
 
 #[test]
-fn what_particles_cannot_do_and_their_keys_without_them_are_refused() {
+fn unsupported_settings_of_particles_and_keys_without_particles_are_rejected() {
     for (added, told) in [
         (
             "\n[outliers]\n",

@@ -586,7 +586,7 @@ fn the_published_chain_has_its_frequency() {
 }
 
 #[test]
-fn a_uniform_building_has_the_frequency_and_damping_it_was_asked_for() {
+fn uniform_building_has_the_requested_frequency_and_damping() {
     let demo = parse(include_str!("../../../../docs/examples/demo.toml"));
     let modes = demo.nominal_modes().unwrap();
     assert!((modes.angular_frequencies[0] / (2.0 * PI) - 1.0).abs() < 1e-12);
@@ -713,7 +713,7 @@ proptest! {
     /// Several columns at once give bit-identical results to one column at a time. Six columns
     /// exceed one block.
     #[test]
-    fn columns_do_not_depend_on_each_other(values in proptest::collection::vec(-1.0f64..1.0, 6 * 13)) {
+    fn columns_are_independent_of_each_other(values in proptest::collection::vec(-1.0f64..1.0, 6 * 13)) {
         for (what, structure) in examples() {
             let mut model = structure.model();
             let len = model.state_len();

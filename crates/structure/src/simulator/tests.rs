@@ -272,7 +272,7 @@ fn the_motion_does_not_depend_on_the_faults() {
 }
 
 #[test]
-fn spikes_are_as_frequent_and_as_high_as_asked() {
+fn spikes_have_the_requested_share_and_height() {
     let structure = oscillator("[simulation]\nspike-share = 0.05\nspike-height = 1e13\n");
     // 1e13 standard deviations of 1e-12 are 10 N, or 10 m: far beyond any displacement.
     let spikes = structure

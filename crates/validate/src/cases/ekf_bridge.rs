@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn wide_prior_of_the_motion_locks_the_bridge_at_wrong_factors() {
+    fn bridge_converges_to_wrong_factors_with_a_wide_prior_of_the_motion() {
         // Chapter 2, §5 check 12 and §3.6. With a wide prior, the filter is locked at 12 s, with
         // deviations of 0.001 to 0.003. With a start at rest and annealing, all factors are within
         // 0.4 %.

@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn without_fading_it_is_the_plain_extended_filter() {
+    fn filter_without_fading_is_the_plain_extended_filter() {
         // Chapter 2, §5 check 3, by another computation. The results agree except for rounding,
         // which differs between series and exponential.
         for seed in [1, 2, 3] {
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn misprinted_discretisation_moves_the_parameters() {
+    fn misprinted_discretisation_changes_the_parameters() {
         // chapter 2, §5 check 12: by 0.4 to 0.6 in the second half of a 40 to 50 s record
         for seed in [1, 2, 3] {
             let record = simulate(seed, 9_000);

@@ -334,7 +334,7 @@ mod tests {
     use spandrel_filter::steady::lyapunov_by_doubling;
 
     #[test]
-    fn one_strength_of_the_first_mode_gives_all_six_deviations() {
+    fn one_mode_amplitude_gives_all_six_published_deviations() {
         // Chapter 2, §5 check 6: 4.1e-6, 9.3e-5, 1.3e-4 m and 2.1, 2.5, 2.7e-4 m/s, ± 5 %, reached
         // within 10 s. They depend on the record only through the noise, which is 5 % of the
         // response. A record of 200 s contains only 33 periods of the first mode. This mode

@@ -336,7 +336,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn level_that_the_data_hardly_inform_stays_uncertain() {
+    fn level_with_little_information_stays_uncertain() {
         // Chapter 3, §5, failure signatures: a force needs more than one sample to reach the
         // sensors, but the likelihood covers one step. The published rule treats a level as known
         // after its training, so it must stay in training. The scoring rule continues to learn. Its

@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nobody_measured_and_what_follows_a_change_do_not_count() {
+    fn judgements_without_data_and_after_a_change_do_not_count() {
         let mut shares = Shares::default();
         let judgement = Judgement {
             verdict: Some(FitVerdict::Supported),

@@ -113,7 +113,7 @@ mod tests {
     };
 
     #[test]
-    fn a_straight_line_keeps_its_ends_and_a_corner_its_point() {
+    fn thinning_keeps_ends_and_corners() {
         let line: Vec<(f32, f32)> = (0..1000)
             .map(|i| (i as f32 * 0.6, i as f32 * 0.2))
             .collect();
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peak_of_one_sample_stays() {
+    fn thinning_keeps_a_peak_of_one_sample() {
         let mut points: Vec<(f32, f32)> = (0..100_000).map(|i| (i as f32 * 0.006, 10.0)).collect();
         points[54_321].1 = 90.0;
         let thin = PIXELS.curve(&points);
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_cloud_each_cell_keeps_one_point() {
+    fn each_cell_of_a_cloud_keeps_one_point() {
         let points: Vec<(f32, f32)> = (0..9000)
             .map(|i| ((i % 90) as f32 / 10.0, (i / 90) as f32 * 0.09))
             .collect();

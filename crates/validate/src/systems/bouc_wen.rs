@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn jacobian_is_that_of_central_differences() {
+    fn jacobian_agrees_with_central_differences() {
         {
             let mut model = model();
             let n = model.state_len();

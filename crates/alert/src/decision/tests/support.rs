@@ -4,7 +4,7 @@ use super::*;
 use spandrel_bus::Name;
 
 #[test]
-fn nothing_is_decided_while_the_data_contradict_the_model() {
+fn alert_is_undecided_while_the_data_contradict_the_model() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..5, SOUND, SURE)
@@ -25,7 +25,7 @@ fn nothing_is_decided_while_the_data_contradict_the_model() {
 }
 
 #[test]
-fn each_reason_keeps_a_loss_from_being_raised() {
+fn each_reason_prevents_a_raised_alert() {
     let phase = |phase| EstimateFlags {
         phase,
         ..EstimateFlags::working()
@@ -81,7 +81,7 @@ fn each_reason_keeps_a_loss_from_being_raised() {
 }
 
 #[test]
-fn too_uncertain_estimate_is_told_from_too_uncertain_reference() {
+fn text_distinguishes_an_uncertain_estimate_from_an_uncertain_reference() {
     let told = |reference, mean, std| {
         let mut drive = Drive::new(rule().with_reference(reference));
         drive.estimates(0..60, mean, std);
@@ -162,7 +162,7 @@ fn reason_that_lasts_less_than_a_second_is_not_announced() {
 }
 
 #[test]
-fn pending_alert_starts_anew_after_a_stretch_without_decisions() {
+fn pending_alert_restarts_after_undecided_seconds() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..9, SOFT, SURE)
@@ -175,7 +175,7 @@ fn pending_alert_starts_anew_after_a_stretch_without_decisions() {
 }
 
 #[test]
-fn raised_alert_stands_unconfirmed_until_it_is_raised_again() {
+fn raised_alert_is_unconfirmed_until_it_is_raised_again() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
@@ -260,7 +260,7 @@ fn acknowledged_alert_that_was_unconfirmed_is_cleared_and_normal_at_once() {
 }
 
 #[test]
-fn cleared_alert_stays_cleared_and_says_that_nothing_is_decided() {
+fn cleared_alert_stays_cleared_with_the_reason_for_no_decision() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
@@ -276,7 +276,7 @@ fn cleared_alert_stays_cleared_and_says_that_nothing_is_decided() {
 }
 
 #[test]
-fn reference_is_not_learnt_from_frames_that_are_not_decided_on() {
+fn reference_is_not_learnt_from_undecided_frames() {
     let mut drive = Drive::new(rule().with_learnt_reference(60.0).unwrap());
     drive
         .estimates(0..30, 0.9, SURE)
@@ -292,7 +292,7 @@ fn reference_is_not_learnt_from_frames_that_are_not_decided_on() {
 }
 
 #[test]
-fn state_that_nothing_was_announced_of_is_not_normal_while_it_is_undecided() {
+fn unannounced_state_is_not_normal_while_undecided() {
     let mut drive = Drive::new(rule());
     drive.flagged(0..1, SOUND, SURE, contradicted());
     assert_eq!(drive.decision.unannounced(), None);
@@ -332,7 +332,7 @@ fn no_new_alert_is_raised_in_the_first_seconds_of_a_jump() {
 }
 
 #[test]
-fn raised_alert_says_that_the_loss_is_still_falling_until_the_jump_is_over() {
+fn raised_alert_states_that_the_stiffness_is_still_falling_until_the_jump_ends() {
     let mut drive = Drive::new(Rule::new(0.05, 0.95, 0.5, 0.0).unwrap());
     drive
         .estimates(0..1, SOFT, SURE)
@@ -359,7 +359,7 @@ fn raised_alert_says_that_the_loss_is_still_falling_until_the_jump_is_over() {
 }
 
 #[test]
-fn raised_alert_is_revised_where_the_loss_leaves_the_announced_interval() {
+fn raised_alert_is_revised_when_the_loss_leaves_the_announced_interval() {
     let mut drive = Drive::new(rule());
     drive.estimates(0..20, SOFT, SURE);
     // The first loss is within 1.96 times 1 % of the one announced at 10 s, the second is not.
@@ -384,7 +384,7 @@ fn raised_alert_is_revised_where_the_loss_leaves_the_announced_interval() {
 }
 
 #[test]
-fn raised_alert_whose_loss_goes_says_that_it_is_about_to_be_cleared() {
+fn raised_alert_without_a_loss_announces_when_it_will_clear() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
@@ -421,7 +421,7 @@ fn revisions_come_at_most_once_a_second() {
 }
 
 #[test]
-fn undecided_state_restored_anywhere_goes_on_alike() {
+fn undecided_state_restored_at_any_second_gives_the_same_alerts() {
     let run = |restore_at: Option<i64>| {
         let mut drive = Drive::new(rule().with_learnt_reference(5.0).unwrap());
         for second in 0..60 {

@@ -309,7 +309,7 @@ fn damaged_spring_is_found_and_becomes_the_nominal_model() {
 }
 
 #[test]
-fn hierarchy_goes_up_heals_and_comes_down() {
+fn hierarchy_rises_calibrates_the_baseline_and_returns() {
     let substructures = Grouping::new(vec![vec![0], vec![1], vec![2, 3]], 4).unwrap();
     for rule in [PersistenceRule::Consecutive, PersistenceRule::Share] {
         let plan = ClassPlan::Hierarchical {
@@ -381,7 +381,7 @@ fn lost_filter_continues_from_the_most_plausible_one() {
 }
 
 #[test]
-fn bank_whose_filters_are_all_lost_says_so_and_restarts() {
+fn loss_of_all_filters_is_an_error_and_the_bank_can_restart() {
     let mut bank = ClassBank::new(System, template(), self_calibrating()).unwrap();
     let frames = frames(300, None, 0, 7);
     run(&mut bank, &frames[..100]);
@@ -439,7 +439,7 @@ fn all_classes_take_noise_levels_and_rejections_from_the_leader() {
 }
 
 #[test]
-fn frame_on_which_the_screening_filter_fails_is_left_by_all_classes() {
+fn all_classes_skip_a_frame_on_which_the_screening_filter_fails() {
     let mut bank = ClassBank::new(System, adaptive_template(), self_calibrating()).unwrap();
     let mut frames = frames(1200, None, 0, 10);
     run(&mut bank, &frames[..1000]);
@@ -481,7 +481,7 @@ fn frame_on_which_the_screening_filter_fails_is_left_by_all_classes() {
 }
 
 #[test]
-fn sharper_class_wins_by_the_factor_of_ockham() {
+fn sharper_class_gains_the_factor_of_ockham() {
     // ch5 §5 A4: compared with a class without multipliers, a class with one free multiplier loses
     // ½ ln(1 + n σ²/s²) − ½ on average.
     let mut sum = 0.0;
@@ -559,7 +559,7 @@ fn checkpoint_whose_counts_do_not_fit_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn noise_levels_lost_with_their_filter_start_anew() {
+fn noise_levels_lost_with_their_filter_restart_from_the_prior() {
     let mut bank = ClassBank::new(System, adaptive_template(), self_calibrating()).unwrap();
     let mut noise = bank.noise().clone();
     noise.mean[0] = f64::NAN;
@@ -577,7 +577,7 @@ proptest! {
     /// Plausibilities sum to one at every step. The combined covariance is positive semidefinite. A
     /// bank restored from a serialised checkpoint continues bit-identically.
     #[test]
-    fn checkpoint_at_any_step_changes_nothing(
+    fn resuming_at_any_step_is_bit_identical(
         seed in 0_u64..1000,
         at in 1_usize..1200,
         plan in 0_usize..3,

@@ -68,7 +68,7 @@ fn shares(detector: GlobalDetector, shifted: &[usize], seed: u64) -> (f64, f64) 
 }
 
 #[test]
-fn gross_nodes_are_found_and_healthy_ones_mostly_kept() {
+fn shifted_nodes_are_excluded_and_healthy_nodes_mostly_kept() {
     // ch7 §5, check 4
     let published = GlobalDetector::default();
     let stepwise = GlobalDetector {
@@ -99,7 +99,7 @@ fn gross_nodes_are_found_and_healthy_ones_mostly_kept() {
 }
 
 #[test]
-fn two_nodes_are_never_judged_and_two_are_always_left() {
+fn at_least_two_nodes_remain() {
     let at = |mean: f64| Gaussian {
         mean: DVector::from_element(1, mean),
         covariance: DMatrix::identity(1, 1),
@@ -128,7 +128,7 @@ fn two_nodes_are_never_judged_and_two_are_always_left() {
 /// counts 1/15 of their variance, the mean `d²` of node 0 is 60. This exceeds the limit of 26. With
 /// the whole variance, the mean `d²` is 7. Node 9 is faulty.
 #[test]
-fn who_is_surer_than_all_others_is_not_suspicious() {
+fn node_with_a_smaller_variance_than_all_others_is_not_suspicious() {
     let detector = GlobalDetector {
         screening: 0.999,
         one_at_a_time: true,
@@ -177,7 +177,7 @@ fn one_node_at(mean: f64) -> Vec<Gaussian> {
 }
 
 #[test]
-fn the_weight_is_that_with_which_the_distance_would_be_at_the_limit() {
+fn weight_scales_the_distance_to_the_limit() {
     for one_at_a_time in [true, false] {
         let detector = GlobalDetector {
             screening: 0.999,
@@ -214,7 +214,7 @@ fn the_weight_is_that_with_which_the_distance_would_be_at_the_limit() {
 }
 
 #[test]
-fn healthy_nodes_are_discounted_as_rarely_as_they_are_suspicious_and_never_much() {
+fn healthy_nodes_are_rarely_and_only_slightly_discounted() {
     let stepwise = GlobalDetector {
         one_at_a_time: true,
         ..GlobalDetector::default()

@@ -139,7 +139,7 @@ fn answer(index: u64, parameters: &Gaussian, told: &[crate::fusion::LocalEstimat
 }
 
 #[test]
-fn told_samples_are_whole_multiples_of_the_unit() {
+fn shared_samples_are_whole_multiples_of_the_unit() {
     let exponent = unit_exponent(NOISE);
     assert_eq!(
         (exponent, unit_exponent(0.25), unit_exponent(0.249)),
@@ -168,7 +168,7 @@ fn told_samples_are_whole_multiples_of_the_unit() {
 }
 
 #[test]
-fn a_node_tells_its_samples_at_the_instants() {
+fn node_sends_its_samples_at_the_instants() {
     let mut nodes = [node(0).unwrap(), node(1).unwrap()];
     for period in 0..2 {
         let told = run_period(&mut nodes, period * STEPS);
@@ -184,7 +184,7 @@ fn a_node_tells_its_samples_at_the_instants() {
 }
 
 #[test]
-fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
+fn samples_of_other_nodes_are_learnt_as_if_received_in_time() {
     let mut nodes = [node(0).unwrap(), node(1).unwrap()];
     // The first message starts the first whole period.
     let told = run_period(&mut nodes, 0);
@@ -240,7 +240,7 @@ fn what_others_tell_is_learnt_as_by_a_filter_that_had_it_in_time() {
 }
 
 #[test]
-fn samples_that_are_missing_or_make_no_sense_tell_nothing() {
+fn missing_or_invalid_samples_of_others_are_ignored() {
     let mut nodes = [node(0).unwrap(), node(1).unwrap()];
     let told = run_period(&mut nodes, 0);
     let fused = Gaussian {
@@ -267,7 +267,7 @@ fn samples_that_are_missing_or_make_no_sense_tell_nothing() {
 }
 
 #[test]
-fn instants_divide_the_samples_of_a_period() {
+fn number_of_instants_must_divide_the_samples_of_a_period() {
     let of = |instants| NodeSettings {
         steps_per_period: STEPS,
         feedback: FeedbackRule::Marginal,
@@ -285,7 +285,7 @@ fn instants_divide_the_samples_of_a_period() {
 
 /// Regression test: samples before a gap must not be sent as samples of a later period.
 #[test]
-fn samples_of_before_a_gap_are_not_told_after_it() {
+fn samples_before_a_gap_are_not_sent_after_it() {
     let mut node = node(0).unwrap();
     for step in 0..4 {
         node.step(Frame {
@@ -309,7 +309,7 @@ fn samples_of_before_a_gap_are_not_told_after_it() {
 }
 
 #[test]
-fn samples_have_the_same_places_in_the_period_of_a_node_that_begins_within_it() {
+fn node_that_starts_within_a_period_sends_samples_at_the_same_instants() {
     let mut node = node(0).unwrap();
     node.begin_at(3);
     for step in 3..STEPS {

@@ -134,7 +134,7 @@ fn station(nodes: usize, rule: FusionRule, feedback: FeedbackRule) -> Station {
 }
 
 #[test]
-fn a_station_that_is_led_astray_begins_anew_from_the_prior() {
+fn station_restarts_from_the_prior_after_an_implausible_fusion() {
     let mut station = station(2, FusionRule::Published, FeedbackRule::Marginal);
     let message = |index, mean: [f64; 2]| LocalEstimate {
         index,
@@ -251,7 +251,7 @@ fn distance_from_centralised(
 }
 
 #[test]
-fn independent_gains_make_the_centralised_filter_whatever_the_feedback_does() {
+fn independent_gains_give_the_centralised_filter_for_every_feedback() {
     for feedback in [
         FeedbackRule::Marginal,
         FeedbackRule::Federated,
@@ -321,7 +321,7 @@ fn sixteen_copies_of_the_prior_fuse_to_the_prior() {
 }
 
 #[test]
-fn useless_messages_are_refused_and_change_nothing() {
+fn invalid_messages_are_rejected_and_change_nothing() {
     let mut station = station(2, FusionRule::default(), FeedbackRule::Marginal);
     let good = LocalEstimate {
         index: 1,
@@ -375,7 +375,7 @@ fn useless_messages_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn without_messages_what_is_known_fades_up_to_its_bound() {
+fn variances_grow_up_to_their_bound_without_messages() {
     let mut station = station(2, FusionRule::default(), FeedbackRule::Marginal);
     station.settings.variance_bound = DVector::repeat(2, 0.05);
     let first = station.fuse(1.0).parameters;
@@ -387,7 +387,7 @@ fn without_messages_what_is_known_fades_up_to_its_bound() {
 }
 
 #[test]
-fn a_stale_message_is_left_out() {
+fn stale_message_is_not_used() {
     let mut station = station(1, FusionRule::default(), FeedbackRule::Marginal);
     let message = LocalEstimate {
         index: 1,
@@ -449,7 +449,7 @@ fn more_uncertain_than_centralised(
 
 /// Regression test: a lost message must not lose the information learnt until then.
 #[test]
-fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
+fn information_counts_exactly_once_after_lost_messages() {
     let runs: [fn(u64) -> bool; 3] = [
         |period| period.is_multiple_of(2),
         |period| period.is_multiple_of(7),
@@ -482,7 +482,7 @@ fn a_message_after_a_lost_one_counts_no_information_twice_and_all_of_it_once() {
 ///
 /// The station would then count nothing from this node.
 #[test]
-fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
+fn node_without_replies_sends_all_that_it_learns() {
     let mut nodes = [
         node(ROWS[0], FeedbackRule::Marginal),
         node(ROWS[1], FeedbackRule::Marginal),
@@ -529,7 +529,7 @@ fn a_node_whose_answers_are_all_lost_tells_all_it_learns() {
 }
 
 #[test]
-fn nodes_that_tell_nothing_new_do_not_weaken_what_others_have_learnt() {
+fn nodes_without_new_information_do_not_weaken_the_information_of_others() {
     let mut station = station(4, FusionRule::default(), FeedbackRule::Marginal);
     let learnt = Gaussian {
         covariance: prior().covariance * 0.5,
@@ -568,7 +568,7 @@ fn nodes_that_tell_nothing_new_do_not_weaken_what_others_have_learnt() {
 ///
 /// The information of this period would then be lost.
 #[test]
-fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing_twice() {
+fn node_that_starts_within_a_period_counts_its_information_exactly_once() {
     const LATE: u64 = 2;
     let mut nodes = [
         node(ROWS[0], FeedbackRule::Marginal),
@@ -618,7 +618,7 @@ fn a_node_that_begins_within_a_period_ends_it_with_the_others_and_counts_nothing
 
 /// Regression test: a filter must not combine samples of different instants.
 #[test]
-fn motion_goes_to_nodes_of_the_same_instant_only() {
+fn motion_is_sent_only_to_nodes_of_the_same_instant() {
     let mut station = station(3, FusionRule::default(), FeedbackRule::Marginal);
     station.settings.motion = MotionExchange::Samples(SampleExchange::new(&[1, 1, 1], 1));
     let message = |instant: f64| LocalEstimate {
@@ -671,7 +671,7 @@ fn motion_goes_to_nodes_of_the_same_instant_only() {
 /// Regression test: a restarted station must not answer with its prior, because the nodes would
 /// lose their information.
 #[test]
-fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
+fn restarted_station_adopts_the_information_of_the_nodes() {
     let feedback = FeedbackRule::Marginal;
     let mut nodes: Vec<_> = ROWS.iter().map(|row| node(*row, feedback)).collect();
     let rule = FusionRule::PriorCorrect(Sharing::Nothing);
@@ -726,7 +726,7 @@ fn a_station_that_is_started_again_takes_over_what_the_nodes_know() {
 }
 
 #[test]
-fn a_node_that_was_wrong_is_used_again_after_so_many_regular_fusions() {
+fn excluded_node_is_used_again_after_the_declared_number_of_regular_fusions() {
     for (readmission, expected) in [
         (1, [true, false, false, false]),
         (3, [true, true, true, false]),
@@ -855,7 +855,7 @@ fn moved_by(off: f64, weighting: Weighting) -> (f64, f64) {
 }
 
 #[test]
-fn the_farther_a_node_is_off_the_less_it_moves_the_fused_mean() {
+fn influence_of_a_node_decreases_with_its_distance() {
     // Two variances of 0.02, of the node and of the others together; χ² with two degrees of
     // freedom.
     let limit = (-2.0 * 0.001_f64.ln() * 0.04).sqrt();
@@ -891,7 +891,7 @@ fn the_farther_a_node_is_off_the_less_it_moves_the_fused_mean() {
 }
 
 #[test]
-fn a_node_that_stays_discounted_is_left_out_and_comes_back_when_it_is_regular() {
+fn permanently_discounted_node_is_excluded_until_it_is_regular_again() {
     let mut station = testing_station(Weighting::Graded);
     station.settings.detector.as_mut().unwrap().readmission = 3;
     let mut found = Vec::new();
@@ -943,7 +943,7 @@ fn a_node_that_stays_discounted_is_left_out_and_comes_back_when_it_is_regular() 
 /// In a simulation, three biased nodes sent their responses between exclusions. They pulled the
 /// others towards their bias and were never detected again.
 #[test]
-fn the_motion_of_a_discounted_node_is_told_when_it_has_been_regular_for_long_enough() {
+fn motion_of_a_discounted_node_is_shared_after_enough_regular_fusions() {
     let mut station = testing_station(Weighting::Graded);
     station.settings.detector.as_mut().unwrap().readmission = 2;
     station.settings.motion = MotionExchange::Samples(SampleExchange::new(&[1, 1, 1, 1], 1));

@@ -40,7 +40,7 @@ fn sends(_: usize, second: u64) -> Option<LocalMessage> {
 }
 
 #[test]
-fn a_station_that_is_started_again_goes_on_as_if_it_had_never_stopped() {
+fn restarted_station_continues_as_if_uninterrupted() {
     let mut undisturbed = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut undisturbed, [FusionInput::Present(vec![true; 16])]);
     live(&mut undisturbed, 1..7, sends);
@@ -80,7 +80,7 @@ fn a_station_that_is_started_again_goes_on_as_if_it_had_never_stopped() {
 }
 
 #[test]
-fn a_life_has_a_higher_epoch_than_the_one_before_though_its_clock_was_set_back() {
+fn epoch_rises_at_a_restart_although_the_clock_was_set_back() {
     let mut first = Fusion::new(&structure(), "fuse", 1000).unwrap();
     live(&mut first, 1..3, sends);
     let second = next_life(&first, &structure(), 5);
@@ -91,7 +91,7 @@ fn a_life_has_a_higher_epoch_than_the_one_before_though_its_clock_was_set_back()
 /// Covers a power failure of the machine that runs all services: no node can report its lineage
 /// before its first feedback message.
 #[test]
-fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
+fn station_keeps_its_estimates_after_a_restart_with_all_nodes() {
     let mut first = Fusion::new(&structure(), "fuse", 7).unwrap();
     run(&mut first, [FusionInput::Present(vec![true; 16])]);
     let last = estimated(&live(&mut first, 1..30, sends)).pop().unwrap();
@@ -129,7 +129,7 @@ fn a_station_whose_nodes_have_died_with_it_does_not_go_back_to_the_prior() {
 }
 
 #[test]
-fn what_was_told_of_outliers_is_not_told_again() {
+fn rejected_samples_are_not_reported_again_after_a_restart() {
     let file = FILE.replace("[fusion]", "[outliers]\n\n[fusion]");
     let structure = Structure::parse(&file, Path::new("building.toml")).unwrap();
     let screened = |rejected| ScreenedChannel {

@@ -1,6 +1,12 @@
 use std::io::Write;
 
 use super::*;
+use crate::unpacked::UnpackingBudget;
+
+/// Reads a file with a budget of its own.
+fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
+    super::read(bytes, &UnpackingBudget::in_memory())
+}
 
 /// A writer of elements in one byte order.
 struct Writer {
@@ -154,7 +160,7 @@ fn structures_with_names_units_and_times_are_read_in_both_byte_orders() {
 }
 
 #[test]
-fn compressed_variables_are_the_same() {
+fn compressed_variables_equal_plain_variables() {
     let writer = writer(false);
     let plain = variables(&writer);
     let packed: Vec<Vec<u8>> = plain
@@ -166,7 +172,7 @@ fn compressed_variables_are_the_same() {
 }
 
 #[test]
-fn matrix_without_times_is_read_along_its_longer_side_at_the_rate_beside_it() {
+fn matrix_without_times_is_read_along_its_longer_side_at_the_stated_rate() {
     let writer = writer(false);
     let values: Vec<f64> = (0..8).map(f64::from).collect();
     let variables = [
@@ -196,7 +202,7 @@ fn version_7_3_is_refused_by_name() {
 }
 
 #[test]
-fn shape_that_the_values_do_not_fill_is_refused() {
+fn shape_with_too_few_values_is_rejected() {
     let writer = writer(false);
     for (rows, columns) in [(5, 3), (u32::MAX >> 1, u32::MAX >> 1)] {
         let variables = [writer.matrix("acc", rows, columns, &[1.0, 2.0, 3.0, 4.0])];
@@ -208,7 +214,7 @@ fn shape_that_the_values_do_not_fill_is_refused() {
 }
 
 #[test]
-fn cells_in_cells_without_end_are_refused() {
+fn deeply_nested_cells_are_rejected() {
     let writer = writer(false);
     let mut variable = writer.matrix("", 3, 1, &[1.0, 2.0, 3.0]);
     for _ in 0..100 {

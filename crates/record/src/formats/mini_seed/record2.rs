@@ -219,7 +219,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn factor_and_multiplier_give_the_rates_of_the_manual() {
+    fn factor_and_multiplier_give_the_rates_in_the_manual() {
         // SEED manual v2.4, page 110: 330 Hz, 330.6 Hz, one sample per minute, 0.1 Hz.
         for (factor, multiplier, expected) in [
             (33, 10, 330.0),

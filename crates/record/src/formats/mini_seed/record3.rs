@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn checksum_is_that_of_the_standard() {
+    fn checksum_equals_the_example_of_the_standard() {
         // RFC 3720, section B.4: 32 bytes of zeros. The other examples do not apply, because the
         // checksum bytes count as zero here.
         assert_eq!(checksum(&[0; 32]), 0x8A91_36AA);

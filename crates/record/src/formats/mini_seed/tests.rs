@@ -209,7 +209,7 @@ fn steim_2_is_decompressed() {
 }
 
 #[test]
-fn last_sample_that_does_not_come_out_is_damage() {
+fn wrong_last_sample_is_an_error() {
     let told = read(&steim_1(&PLAIN, 5)).unwrap_err().to_string();
     assert_eq!(
         told,
@@ -218,7 +218,7 @@ fn last_sample_that_does_not_come_out_is_damage() {
 }
 
 #[test]
-fn records_out_of_order_are_joined_and_holes_stay() {
+fn records_out_of_order_are_joined_and_gaps_remain() {
     let first = PLAIN.integers(&[1, 2, 3]);
     let second = PLAIN.after(300).integers(&[4, 5]);
     let third = PLAIN.after(900).integers(&[6]);
@@ -256,7 +256,7 @@ fn repeated_record_counts_once_and_a_contradiction_is_refused() {
 }
 
 #[test]
-fn channels_are_told_apart() {
+fn channels_are_distinguished() {
     let other = Writer {
         channel: "HNE",
         ..PLAIN
@@ -276,7 +276,7 @@ fn channels_are_told_apart() {
 }
 
 #[test]
-fn blockette_that_points_at_itself_is_refused() {
+fn blockette_that_refers_to_itself_is_rejected() {
     let mut file = PLAIN.integers(&[1, 2]);
     file[50..52].copy_from_slice(&48_u16.to_be_bytes());
     let told = read(&file).unwrap_err().to_string();
@@ -316,7 +316,7 @@ fn version_3_has_nanoseconds_and_periods() {
 }
 
 #[test]
-fn damaged_byte_of_version_3_is_told_by_its_checksum() {
+fn checksum_of_version_3_detects_a_damaged_byte() {
     let file = version_3(&[5, -6, 7], 100.0);
     for place in 61..file.len() {
         let mut damaged = file.clone();

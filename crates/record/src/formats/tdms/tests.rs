@@ -136,7 +136,7 @@ fn chunks_of_both_byte_orders_are_read() {
 }
 
 #[test]
-fn values_in_turn_are_read() {
+fn interleaved_values_are_read() {
     let file = LITTLE.two_channels(
         WHOLE | contents::INTERLEAVED,
         &[1.0, -1.0, 2.0, -2.0, 3.0, -3.0],
@@ -149,7 +149,7 @@ fn values_in_turn_are_read() {
 }
 
 #[test]
-fn segments_go_on_as_before() {
+fn segments_without_metadata_continue_the_previous_ones() {
     let values = [1.0, 2.0, 3.0, -1.0, -2.0, -3.0];
     let mut file = LITTLE.two_channels(WHOLE, &values);
     // The second segment contains only raw data, without metadata.
@@ -241,7 +241,7 @@ fn scale_that_is_not_known_is_refused_by_name() {
 }
 
 #[test]
-fn segment_of_a_crash_is_read_as_far_as_it_goes() {
+fn incomplete_segment_after_a_crash_is_read_to_its_end() {
     let values = [1.0, 2.0, 3.0, -1.0, -2.0, -3.0, 4.0, 5.0];
     let mut file = LITTLE.two_channels(WHOLE, &values);
     file[12..20].copy_from_slice(&u64::MAX.to_le_bytes());

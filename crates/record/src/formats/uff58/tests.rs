@@ -63,7 +63,7 @@ fn touching_values_name_unit_and_start_are_read() {
 }
 
 #[test]
-fn both_byte_orders_are_read_and_what_is_no_number_is_missing() {
+fn both_byte_orders_are_read_and_nan_is_missing() {
     for order in [ByteOrder::Little, ByteOrder::Big] {
         let channels = read(&binary_file(order)).unwrap();
         let samples: Vec<f64> = channels[0].samples().collect();
@@ -84,14 +84,14 @@ fn uneven_abscissae_give_their_rate_and_gap() {
 }
 
 #[test]
-fn same_degree_of_freedom_twice_gets_a_number() {
+fn repeated_degrees_of_freedom_are_numbered() {
     let channels = read(&text_file().repeat(3)).unwrap();
     let names: Vec<&str> = channels.iter().map(RecordedChannel::name).collect();
     assert_eq!(names, ["deck.12.-z", "deck.12.-z#2", "deck.12.-z#3"]);
 }
 
 #[test]
-fn other_datasets_are_left_out_unless_there_is_nothing_else() {
+fn other_datasets_are_skipped_and_alone_are_an_error() {
     let units = b"    -1\n   164\n         1SI\n    -1\n".to_vec();
     assert_eq!(
         read(&[units.clone(), text_file()].concat()).unwrap().len(),
@@ -126,7 +126,7 @@ fn file_cut_anywhere_is_refused() {
 }
 
 #[test]
-fn number_of_values_that_is_not_there_is_no_allocation() {
+fn claimed_number_of_values_is_not_allocated() {
     let claimed = EVEN.replace("         8", " 999999999");
     let told = read(&dataset("    58", &claimed, TOUCHING.as_bytes()))
         .unwrap_err()

@@ -44,7 +44,7 @@ fn rows_of_epoch(appends: &[Vec<LoggedFrames>], epoch: u64) -> Vec<(u64, Vec<u64
 }
 
 #[test]
-fn a_log_cut_at_any_byte_is_a_prefix_and_goes_on() {
+fn log_truncated_at_any_byte_is_a_prefix_and_accepts_appends() {
     let appends = appends();
     let (bytes, ends, name) = torn_log(&appends);
     for cut in 0..=bytes.len() {
@@ -113,7 +113,7 @@ fn a_log_cut_at_any_byte_is_a_prefix_and_goes_on() {
 }
 
 #[test]
-fn a_damaged_byte_is_never_misread_and_costs_its_own_append_alone() {
+fn damaged_byte_loses_at_most_its_own_append() {
     let appends = appends();
     let (bytes, ends, name) = torn_log(&appends);
     for place in 0..bytes.len() {
@@ -135,7 +135,7 @@ fn a_damaged_byte_is_never_misread_and_costs_its_own_append_alone() {
 }
 
 #[test]
-fn damage_that_comes_while_the_log_is_open_is_a_gap() {
+fn damage_to_an_open_log_is_a_gap() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     for from in 0..10 {
@@ -159,7 +159,7 @@ fn damage_that_comes_while_the_log_is_open_is_a_gap() {
 }
 
 #[test]
-fn a_log_that_is_not_closed_has_all_its_frames_and_gets_an_end() {
+fn unclosed_log_keeps_all_frames_and_receives_a_footer() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();
@@ -181,7 +181,7 @@ fn a_log_that_is_not_closed_has_all_its_frames_and_gets_an_end() {
 }
 
 #[test]
-fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
+fn completeness_of_a_log_is_stored_for_the_next_run() {
     let folder = tempfile::tempdir().unwrap();
     for (noted, found) in [
         (None, None),
@@ -203,7 +203,7 @@ fn whether_a_log_has_all_that_others_know_of_is_noted_for_the_next_one() {
 /// A full segment ends properly, and a power failure may lose the next one. Such a log counts as
 /// not closed.
 #[test]
-fn a_log_whose_newest_segment_is_gone_was_not_closed() {
+fn log_without_its_newest_segment_counts_as_not_closed() {
     let folder = tempfile::tempdir().unwrap();
     let settings = LogSettings {
         segment_bytes: 1,
@@ -225,7 +225,7 @@ fn a_log_whose_newest_segment_is_gone_was_not_closed() {
 }
 
 #[test]
-fn a_segment_of_another_start_of_the_machine_is_known_as_such() {
+fn segment_of_another_boot_is_detected() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.stated.boot_id = "another".to_owned();
@@ -235,7 +235,7 @@ fn a_segment_of_another_start_of_the_machine_is_known_as_such() {
 }
 
 #[test]
-fn a_segment_without_any_frame_is_set_aside_and_never_in_the_way() {
+fn unreadable_segment_without_frames_is_set_aside() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();

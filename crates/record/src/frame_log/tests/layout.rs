@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_folder_of_another_layout_is_refused_by_what_differs() {
+fn error_names_the_difference_to_the_layout_of_a_folder() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();
@@ -93,7 +93,7 @@ fn a_closed_segment_is_mcap_with_index_and_schema() {
 }
 
 #[test]
-fn the_message_is_as_the_schema_says() {
+fn message_matches_its_schema() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     let block = LoggedFrames {
@@ -137,7 +137,7 @@ fn the_message_is_as_the_schema_says() {
 }
 
 #[test]
-fn the_encoding_of_another_version_is_refused_and_stays() {
+fn segment_of_another_encoding_is_rejected_and_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();

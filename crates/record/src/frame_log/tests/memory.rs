@@ -14,7 +14,7 @@ fn append_live(log: &mut FrameLog) {
 /// The index must not stay in memory. With 300 bytes per chunk in an MCAP writer and 56 in the
 /// reader, each structure would need more than a megabyte.
 #[test]
-fn a_segment_that_is_being_written_holds_little_of_its_chunks() {
+fn open_segment_keeps_little_memory_per_chunk() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     let held = allocation_counter::measure(|| append_live(&mut log));
@@ -42,7 +42,7 @@ fn a_segment_that_is_being_written_holds_little_of_its_chunks() {
 }
 
 #[test]
-fn the_index_that_is_read_from_the_file_is_that_of_its_chunks() {
+fn index_in_the_file_matches_its_chunks() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     append_live(&mut log);

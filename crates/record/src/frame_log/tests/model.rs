@@ -68,7 +68,7 @@ impl Model {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
     #[test]
-    fn a_log_reads_as_a_list_does(
+    fn log_agrees_with_a_list_model(
         acts in prop::collection::vec(act(), 1..25),
         segment_bytes in prop_oneof![Just(1), Just(3000), Just(u64::MAX)],
         reads in prop::collection::vec((0_u64..5, 0_u64..60, 1_u64..20), 30),

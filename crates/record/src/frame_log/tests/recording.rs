@@ -84,7 +84,7 @@ fn rows_of_a_folder_are_the_frames() {
 }
 
 #[test]
-fn a_segment_is_a_recording_also_while_it_is_written() {
+fn open_segment_can_be_read_as_a_recording() {
     let folder = tempfile::tempdir().unwrap();
     let (mut log, _) = open(folder.path());
     log.append(&[frames(1, 0, 5)]).unwrap();
@@ -104,7 +104,7 @@ fn a_segment_is_a_recording_also_while_it_is_written() {
 }
 
 #[test]
-fn of_epochs_that_overlap_in_time_the_first_frame_stays_and_it_is_told() {
+fn first_frame_of_overlapping_epochs_is_kept_with_a_remark() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = open_with(folder.path(), short_segments());
     let blocks = [

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_log_is_open_once() {
+fn log_can_be_opened_only_once() {
     let folder = tempfile::tempdir().unwrap();
     let (log, _) = open(folder.path());
     let error = FrameLog::open(folder.path(), layout(), LogSettings::default())
@@ -58,7 +58,7 @@ fn readers_see_whole_frames_while_the_log_is_written() {
 }
 
 #[test]
-fn a_reader_survives_the_deletion_of_what_it_reads() {
+fn reader_survives_the_deletion_of_its_segment() {
     let folder = tempfile::tempdir().unwrap();
     let settings = LogSettings {
         keep_bytes: 30_000,

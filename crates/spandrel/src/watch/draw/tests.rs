@@ -160,7 +160,7 @@ fn large_terminal_shows_the_trend_and_the_interval_in_numbers_too() {
 }
 
 #[test]
-fn bars_of_all_parameters_stand_on_one_axis() {
+fn bars_of_all_parameters_share_one_axis() {
     let rows = rows(&view(damaged_tower()), (140, 40));
     let limit = |part: &str| {
         row_with(&rows, part)
@@ -173,7 +173,7 @@ fn bars_of_all_parameters_stand_on_one_axis() {
 }
 
 #[test]
-fn a_raised_alert_is_red_and_says_so() {
+fn raised_alert_is_red() {
     let terminal = drawn(&view(damaged_tower()), (80, 24));
     let buffer = terminal.backend().buffer();
     let word = (0..80).map(|x| buffer[(x, 3)].symbol()).collect::<String>();
@@ -197,7 +197,7 @@ fn stale_data_are_marked_with_their_age() {
 }
 
 #[test]
-fn a_service_that_is_gone_is_marked() {
+fn ended_service_is_marked() {
     let mut heard = damaged_tower();
     heard.handle(
         present(&[(Service::Ingest, "a"), (Service::Alert, "a")]),
@@ -210,7 +210,7 @@ fn a_service_that_is_gone_is_marked() {
 }
 
 #[test]
-fn two_instances_of_a_service_are_told_apart() {
+fn two_instances_of_a_service_are_distinguished() {
     let mut heard = damaged_tower();
     let mut second = status(Service::Identify, 4.0, &[]);
     second.id = name("b");
@@ -223,7 +223,7 @@ fn two_instances_of_a_service_are_told_apart() {
 }
 
 #[test]
-fn nothing_heard_is_said() {
+fn view_states_that_no_messages_have_arrived() {
     row_with(
         &rows(&view(Heard::default()), (80, 24)),
         "no messages yet below spandrel",
@@ -235,7 +235,7 @@ fn nothing_heard_is_said() {
 }
 
 #[test]
-fn structures_without_room_are_one_line_and_the_chosen_one_is_open() {
+fn only_the_selected_structure_is_expanded_if_space_is_short() {
     let mut view = tower_and_bridge();
     let small = rows(&view, (80, 24));
     assert_eq!(row_with(&small, "▶ bridge").0, 0);
@@ -257,7 +257,7 @@ fn structures_without_room_are_one_line_and_the_chosen_one_is_open() {
 }
 
 #[test]
-fn page_keys_lead_to_parameters_that_there_is_no_room_for() {
+fn page_keys_scroll_to_hidden_parameters() {
     let mut view = tower_and_bridge();
     press(&mut view, [KeyCode::PageDown, KeyCode::PageDown]);
     let small = rows(&view, (80, 24));
@@ -266,7 +266,7 @@ fn page_keys_lead_to_parameters_that_there_is_no_room_for() {
 }
 
 #[test]
-fn the_chosen_alert_is_in_sight() {
+fn selected_alert_is_visible() {
     let mut heard = damaged_tower();
     for number in 6..30 {
         let raised = alert(
@@ -284,7 +284,7 @@ fn the_chosen_alert_is_in_sight() {
 }
 
 #[test]
-fn acknowledging_asks_for_name_and_note_on_the_last_line() {
+fn acknowledgement_form_is_on_the_last_line() {
     let mut view = view(damaged_tower());
     press(&mut view, [KeyCode::Char('a')]);
     press(&mut view, "seen".chars().map(KeyCode::Char));
@@ -328,7 +328,7 @@ fn messages_that_could_not_be_shown_are_counted_on_the_last_line() {
 }
 
 #[test]
-fn texts_with_control_characters_stay_in_their_place() {
+fn control_characters_of_texts_are_removed() {
     let mut steering = alert("storey-2", 50, AlertState::Raised);
     steering.why = "\u{1b}[2Jgone\r\nhere".to_owned();
     let mut heard = damaged_tower();
@@ -337,7 +337,7 @@ fn texts_with_control_characters_stay_in_their_place() {
 }
 
 #[test]
-fn in_a_small_window_parameters_come_before_services() {
+fn small_window_shows_parameters_and_alerts() {
     let rows = rows(&view(damaged_tower()), (60, 16));
     row_with(&rows, "0.858 ± 0.011");
     row_with(&rows, "storey-2 has lost");
@@ -361,7 +361,7 @@ fn every_size_can_be_drawn() {
 }
 
 #[test]
-fn heights_are_shared_so_that_the_chosen_panel_is_seen() {
+fn selected_panel_receives_most_of_the_height() {
     assert_eq!(share_out(30, &[10, 12], 0), [10, 12]);
     assert_eq!(share_out(18, &[10, 12], 0), [10, 1]);
     assert_eq!(share_out(18, &[10, 30], 1), [1, 17]);
@@ -371,7 +371,7 @@ fn heights_are_shared_so_that_the_chosen_panel_is_seen() {
 }
 
 #[test]
-fn nodes_that_identify_for_themselves_are_a_line_each_with_those_in_trouble_first() {
+fn each_local_filter_has_a_line_and_faulty_nodes_are_first() {
     let mut tower = damaged_tower();
     let mut excluded = node("floor-20", 60, NodeHealth::Excluded);
     excluded.excluded_since_ns = Some(excluded.time_ns - 60_000_000_000);

@@ -17,7 +17,7 @@ fn last_value_of_each_parameter_is_kept_in_natural_order() {
 }
 
 #[test]
-fn that_a_parameter_is_normal_from_the_start_is_known_and_no_change() {
+fn initial_normal_state_is_stored_but_is_no_change() {
     let mut heard = Heard::default();
     let mut changes = Vec::new();
     let normal = alert("storey-1", 0, AlertState::Normal);
@@ -28,7 +28,7 @@ fn that_a_parameter_is_normal_from_the_start_is_known_and_no_change() {
 }
 
 #[test]
-fn open_alerts_are_those_that_people_should_know_of_newest_first() {
+fn open_alerts_are_listed_newest_first() {
     let heard = heard([
         Input::Alert(alert("storey-1", 50, AlertState::Normal)),
         Input::Alert(alert("storey-2", 10, AlertState::Acknowledged)),
@@ -55,7 +55,7 @@ fn events_are_newest_first_and_bounded() {
 }
 
 #[test]
-fn changes_of_classes_do_not_push_the_event_of_a_sensor_out() {
+fn class_changes_do_not_displace_sensor_events() {
     let change = |number: usize, kind| {
         let mut change = event(&format!("class {number} leads"), "");
         (change.kind, change.subject) = (kind, "identify".to_owned());

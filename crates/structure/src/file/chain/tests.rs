@@ -27,7 +27,7 @@ fn mistakes_after(text: &str, replaced: &str, by: &str) -> Vec<String> {
 }
 
 #[test]
-fn storeys_given_both_singly_and_as_equal_ones_are_one_mistake() {
+fn single_and_equal_storeys_together_are_one_mistake() {
     let mixed = "masses-kg = [1e5, 1e5]\nfirst-frequency-hz = 1.0\n";
     let found = mistakes_after(DEMO, "first-frequency-hz = 1.0\n", mixed);
     let [one] = &found[..] else {
@@ -105,7 +105,7 @@ fn groups_that_share_a_storey_or_a_name_are_refused() {
 }
 
 #[test]
-fn a_law_without_bound_is_refused() {
+fn unbounded_law_is_rejected() {
     assert_eq!(
         mistakes_after(BOUC_WEN, "kappa = 1500 ", "kappa = -1000 "),
         [
@@ -127,7 +127,7 @@ fn a_law_without_bound_is_refused() {
 }
 
 #[test]
-fn hysteretic_springs_are_not_seen_by_displacement_sensors() {
+fn displacement_sensors_are_rejected_for_hysteretic_springs() {
     let text = BOUC_WEN.replacen("quantity = \"velocity\"", "quantity = \"displacement\"", 1);
     assert_eq!(
         mistakes_after(&text, "unit = \"m/s\"", "unit = \"m\""),
@@ -137,7 +137,7 @@ fn hysteretic_springs_are_not_seen_by_displacement_sensors() {
 }
 
 #[test]
-fn constants_are_scaled_where_there_is_hysteresis() {
+fn constants_can_be_scaled_only_with_hysteresis() {
     assert_eq!(
         mistakes_after(
             DEMO,
@@ -156,7 +156,7 @@ fn constants_are_scaled_where_there_is_hysteresis() {
 }
 
 #[test]
-fn dashpots_belong_to_storeys() {
+fn dashpots_require_storeys() {
     let frame = include_str!("../../../../../docs/examples/three-pier-bridge.toml");
     let found = mistakes_after(
         frame,

@@ -25,7 +25,7 @@ fn classes_are_read_with_their_groups() {
 }
 
 #[test]
-fn mistakes_of_classes_are_named() {
+fn error_names_mistakes_of_classes() {
     let has = |table: &str, parts: &[&str]| {
         let found = class_mistakes(table);
         assert!(
@@ -101,7 +101,7 @@ fn table(kind: &str, classes: &[(&str, &str)]) -> String {
 }
 
 #[test]
-fn mistake_of_a_class_is_told_at_its_line() {
+fn error_names_the_line_of_a_mistake_of_a_class() {
     let (all, four) = (
         r#"["storey-1", "storey-2", "storey-3", "storey-4", "storey-5"]"#,
         r#"["storey-2", "storey-3", "storey-4", "storey-5"]"#,
@@ -179,7 +179,7 @@ fn floor_of_zero_is_the_rule_of_the_source() {
 }
 
 #[test]
-fn numbers_beyond_memory_or_use_are_refused() {
+fn numbers_out_of_range_or_without_use_are_rejected() {
     for (kind, key, told) in [
         (
             "self-calibrating",

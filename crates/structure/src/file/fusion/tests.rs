@@ -15,7 +15,7 @@ fn with(fusion: &str) -> Result<Structure, String> {
 }
 
 #[test]
-fn nodes_that_tell_samples_see_the_channels_of_all() {
+fn nodes_that_share_samples_observe_all_channels() {
     let structure = with("motion = \"samples\"\nsamples-per-period = 5").unwrap();
     // 10 parameters: 65 numbers of the density; 5 instants of two channels each way, from sixteen
     // nodes.
@@ -36,7 +36,7 @@ fn nodes_that_tell_samples_see_the_channels_of_all() {
 }
 
 #[test]
-fn defaults_tell_nothing_of_the_motion() {
+fn motion_is_not_shared_by_default() {
     let structure = with("rate-hz = 2").unwrap();
     let plan = structure.fusion().unwrap();
     assert_eq!(
@@ -55,7 +55,7 @@ fn defaults_tell_nothing_of_the_motion() {
 }
 
 #[test]
-fn weights_of_nodes_are_graded_where_the_file_asks_for_it() {
+fn weights_of_nodes_are_graded_on_request() {
     let weighting = |fusion| {
         with(fusion)
             .unwrap()
@@ -74,7 +74,7 @@ fn weights_of_nodes_are_graded_where_the_file_asks_for_it() {
 }
 
 #[test]
-fn a_rate_that_divides_nothing_is_one_mistake() {
+fn indivisible_rate_is_one_mistake() {
     let error = with("rate-hz = 7\nmotion = \"samples\"\nsamples-per-period = 50").unwrap_err();
     assert!(
         error.contains("fusion.rate-hz: is 7") && !error.contains("samples-per-period"),
@@ -88,7 +88,7 @@ fn a_rate_that_divides_nothing_is_one_mistake() {
 }
 
 #[test]
-fn responses_need_a_node_that_tells_some() {
+fn shared_responses_require_a_node_that_measures_some() {
     let accelerations = include_str!("../../../../../docs/examples/demo.toml").replacen(
         "sampling-rate-hz",
         "identification = \"distributed\"\nsampling-rate-hz",
@@ -105,7 +105,7 @@ fn responses_need_a_node_that_tells_some() {
 }
 
 #[test]
-fn bad_input_names_the_key_and_what_is_allowed() {
+fn error_names_the_key_and_the_allowed_values() {
     for (fusion, expected) in [
         (
             "rate-hz = 3",

@@ -114,7 +114,7 @@ fn degrees_of_freedom_are_named_by_node_and_direction_numbers_first() {
 }
 
 #[test]
-fn the_ground_moves_translations_in_its_direction_only() {
+fn ground_moves_only_translations_in_its_direction() {
     let portal = read(PORTAL).unwrap();
     let [x, y] = &portal.system.ground_directions[..] else {
         panic!("two directions")
@@ -207,7 +207,7 @@ fn a_member_without_length_is_refused() {
 }
 
 #[test]
-fn a_node_that_no_member_joins_is_refused() {
+fn node_without_members_is_rejected() {
     assert_eq!(
         mistakes_after("10 = [6, 4]", "10 = [6, 4]\n11 = [7, 4]"),
         ["6: model.nodes: has node 11, which no member joins, must be joined"]
@@ -215,7 +215,7 @@ fn a_node_that_no_member_joins_is_refused() {
 }
 
 #[test]
-fn a_frame_that_can_slide_away_is_refused() {
+fn frame_that_can_move_freely_is_rejected() {
     let rollers = PORTAL.replace("fixed = [\"x\", \"y\", \"r\"]", "fixed = [\"y\"]");
     let error = read(&rollers.replace("fixed = [\"x\", \"y\"]", "fixed = [\"y\"]")).unwrap_err();
     let [mistake] = error.diagnostics() else {
@@ -270,7 +270,7 @@ fn coordinates_must_have_the_dimension_of_the_model() {
 }
 
 #[test]
-fn the_ground_of_a_model_with_geometry_needs_a_direction() {
+fn ground_of_a_model_with_geometry_requires_a_direction() {
     assert_eq!(
         mistakes_after("direction = \"x\"\n", ""),
         [

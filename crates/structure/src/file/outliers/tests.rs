@@ -9,7 +9,7 @@ fn with_outliers(keys: &str) -> String {
 }
 
 #[test]
-fn time_that_no_screening_can_have_is_refused_with_its_line() {
+fn error_names_the_line_of_an_impossible_screening_time() {
     for (key, told) in [
         (
             "window-s = 1e12",
@@ -41,7 +41,7 @@ fn time_that_no_screening_can_have_is_refused_with_its_line() {
 }
 
 #[test]
-fn shortest_and_longest_times_make_a_filter() {
+fn shortest_and_longest_times_give_a_valid_filter() {
     let makes_a_filter = |structure: &Structure| {
         let settings = structure.filter_settings().unwrap();
         spandrel_filter::ExtendedKalmanFilter::new(structure.model(), settings).is_ok()

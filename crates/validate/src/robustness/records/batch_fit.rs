@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn fit_of_a_simulated_record_is_what_was_simulated() {
+    fn fit_of_a_simulated_record_returns_the_simulated_stiffness() {
         let structure =
             Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
         let (ratio, left) = Replay::new(&structure).fit(&simulated(&structure), 0);
@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn response_is_that_of_the_simulator() {
+    fn response_agrees_with_the_simulator() {
         let structure =
             Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
         let rows = simulated(&structure);

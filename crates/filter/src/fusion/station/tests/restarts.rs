@@ -52,7 +52,7 @@ fn found(is_restarted: impl Fn(u64) -> bool) -> Vec<Fused> {
 }
 
 #[test]
-fn a_station_that_is_restored_after_any_fusion_goes_on_to_the_bit() {
+fn station_restored_after_any_fusion_continues_bit_for_bit() {
     let undisturbed = found(|_| false);
     assert_eq!(found(|period| period.is_multiple_of(3)), undisturbed);
     assert_eq!(found(|_| true), undisturbed);
@@ -221,7 +221,7 @@ const AFTER: u64 = 24 * PERIOD + 2;
 const BACK: u64 = 25 * PERIOD + 1;
 
 #[test]
-fn a_node_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
+fn node_resumed_from_its_checkpoint_counts_nothing_twice() {
     for feedback in [
         FeedbackRule::Marginal,
         FeedbackRule::Federated,
@@ -246,7 +246,7 @@ fn a_node_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
 }
 
 #[test]
-fn a_station_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
+fn station_resumed_from_its_checkpoint_counts_nothing_twice() {
     for feedback in [
         FeedbackRule::Marginal,
         FeedbackRule::Federated,
@@ -271,7 +271,7 @@ fn a_station_that_goes_on_from_its_checkpoint_counts_nothing_twice() {
 }
 
 #[test]
-fn a_station_and_nodes_that_die_together_go_on_from_what_they_knew() {
+fn station_and_nodes_resume_from_their_checkpoints_after_a_common_crash() {
     for feedback in [
         FeedbackRule::Marginal,
         FeedbackRule::Federated,
@@ -295,7 +295,7 @@ fn a_station_and_nodes_that_die_together_go_on_from_what_they_knew() {
 }
 
 #[test]
-fn a_node_whose_messages_were_never_answered_tells_nothing_as_learnt_in_its_next_life() {
+fn node_without_replies_reports_no_lineage_after_a_restart() {
     let mut first = node(ROWS[0], FeedbackRule::Marginal);
     for step in 0..PERIOD {
         first

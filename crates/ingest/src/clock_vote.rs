@@ -1,0 +1,430 @@
+//! Compares the clocks of the nodes, and decides by majority what time it is.
+//!
+//! The offset of a node is the time of its newest sample minus the reading of a monotonic clock at
+//! its arrival. A delay only lowers the offset, and a node that catches up after a delay raises it
+//! quickly. A node therefore votes only with an offset that is steady.
+//!
+//! More than half of the votes, and at least two, decide. They must agree within a limit. Their
+//! decision remains in force as long as one node supports it, so that a node whose clock jumps, or
+//! that restarts first after a power cut, cannot change it alone.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Span, by the monotonic clock, over which an offset must be steady.
+const STEADY_FOR: Duration = Duration::from_secs(1);
+/// Change of an offset within [`STEADY_FOR`] that is still steady, ns. A node that catches up at
+/// 1.25 times real time exceeds it.
+const STEADY_WITHIN_NS: i64 = 250_000_000;
+/// Interval within which arrivals count as one. It bounds the memory.
+const TOGETHER: Duration = Duration::from_millis(10);
+/// Span for which a node must be steadily behind before its clock is blamed and not its link.
+const BEHIND_FOR: Duration = Duration::from_secs(3);
+/// Span for which the vote of a silent node counts. Nodes restart within it after a power cut.
+const VOTE_LASTS: Duration = Duration::from_secs(300);
+/// Change of an offset that calls for a new count of the votes, ns.
+const RECOUNT_NS: i64 = 500_000_000;
+/// Span for which clocks must disagree without a majority before that is reported.
+const TIED_FOR: Duration = Duration::from_secs(3);
+
+/// What the vote says about the clock of a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClockVerdict {
+    /// The clock agrees with the majority, or nothing contradicts it.
+    Agrees,
+    /// The clock differs from that of the majority.
+    Wrong {
+        /// Clock of the node minus clock of the majority, ns.
+        difference_ns: i64,
+    },
+    /// The clocks differ, and no majority of them agrees.
+    Tied {
+        /// Largest difference between the clock of this node and that of another node, ns:
+        /// positive if this node is ahead.
+        difference_ns: i64,
+    },
+}
+
+/// The votes of the nodes of a structure. The passage of time is an argument.
+#[derive(Debug)]
+pub struct ClockVote {
+    limit_ns: i64,
+    nodes: Vec<Voter>,
+    /// Clock of the majority minus the monotonic clock, ns.
+    majority_ns: Option<i64>,
+    tied_since: Option<Duration>,
+}
+
+#[derive(Debug, Default)]
+struct Voter {
+    /// Arrival, and the offset of the newest sample at that moment (ns).
+    recent: VecDeque<(Duration, i64)>,
+    /// The last steady offset, ns.
+    vote_ns: Option<i64>,
+    /// The offset that was counted last, ns.
+    counted_ns: Option<i64>,
+    /// Since when the node is steadily behind, and its offset then (ns).
+    behind_since: Option<(Duration, i64)>,
+    is_wrong: bool,
+}
+
+impl Voter {
+    fn heard(&self) -> Option<Duration> {
+        self.recent.back().map(|(at, _)| *at)
+    }
+
+    /// Returns the difference between the newest offset and another one, ns.
+    fn ahead_of(&self, offset_ns: i64) -> i64 {
+        let newest = self.recent.back().map(|(_, newest_ns)| *newest_ns);
+        newest.map_or(0, |newest_ns| newest_ns.saturating_sub(offset_ns))
+    }
+
+    fn arrived(&mut self, offset_ns: i64, now: Duration) {
+        match self.recent.back_mut() {
+            Some((at, last_ns)) if now.saturating_sub(*at) < TOGETHER => {
+                // A block that arrives together with an earlier one shows the lesser delay, unless
+                // the clock has gone back.
+                *last_ns = offset_ns;
+            }
+            _ => self.recent.push_back((now, offset_ns)),
+        }
+        let before = now.saturating_sub(2 * STEADY_FOR);
+        while self.recent.get(1).is_some_and(|(at, _)| *at <= before) {
+            self.recent.pop_front();
+        }
+        if let Some(steady_ns) = self.steady_ns(now) {
+            self.vote_ns = Some(steady_ns);
+        }
+    }
+
+    /// Compares the clock with that of the majority.
+    ///
+    /// No delay moves a clock ahead, so the first sample that is ahead is wrong. A node that is
+    /// behind may be late, and is judged after it has been steadily behind.
+    fn compare(&mut self, majority_ns: Option<i64>, limit_ns: i64, now: Duration) {
+        let ahead_ns = majority_ns.map_or(0, |majority_ns| self.ahead_of(majority_ns));
+        if ahead_ns >= -limit_ns {
+            self.is_wrong = ahead_ns > limit_ns;
+            self.behind_since = None;
+            return;
+        }
+        let Some(steady_ns) = self.steady_ns(now) else {
+            return;
+        };
+        let is_same = |(_, first_ns): &(Duration, i64)| {
+            first_ns.abs_diff(steady_ns) <= STEADY_WITHIN_NS.unsigned_abs()
+        };
+        let first = self
+            .behind_since
+            .filter(is_same)
+            .unwrap_or((now, steady_ns));
+        self.behind_since = Some(first);
+        self.is_wrong |= now.saturating_sub(first.0) >= BEHIND_FOR;
+    }
+
+    /// Returns the largest recent offset if it has not changed for [`STEADY_FOR`].
+    fn steady_ns(&self, now: Duration) -> Option<i64> {
+        let begin = now.checked_sub(STEADY_FOR)?;
+        let largest = |is_early: bool| {
+            let of_part = self
+                .recent
+                .iter()
+                .filter(|(at, _)| (*at <= begin) == is_early);
+            of_part.map(|(_, offset_ns)| *offset_ns).max()
+        };
+        let (early_ns, late_ns) = (largest(true)?, largest(false)?);
+        (early_ns.abs_diff(late_ns) <= STEADY_WITHIN_NS.unsigned_abs()).then_some(late_ns)
+    }
+}
+
+impl ClockVote {
+    /// Creates the vote of `nodes` nodes whose clocks and links may differ by `limit`.
+    #[must_use]
+    pub fn new(limit: Duration, nodes: usize) -> Self {
+        Self {
+            limit_ns: i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX),
+            nodes: (0..nodes).map(|_| Voter::default()).collect(),
+            majority_ns: None,
+            tied_since: None,
+        }
+    }
+
+    /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a
+    /// reading of any monotonic clock.
+    ///
+    /// Returns `true` if a clock has become wrong or right.
+    pub fn arrived(&mut self, node: usize, time_ns: i64, now: Duration) -> bool {
+        let Some(voter) = self.nodes.get_mut(node) else {
+            return false;
+        };
+        let now_ns = i64::try_from(now.as_nanos()).unwrap_or(i64::MAX);
+        voter.arrived(time_ns.saturating_sub(now_ns), now);
+        let has_moved = match (voter.vote_ns, voter.counted_ns) {
+            (Some(vote_ns), Some(counted_ns)) => vote_ns.abs_diff(counted_ns) > RECOUNT_NS as u64,
+            (vote_ns, counted_ns) => vote_ns != counted_ns,
+        };
+        match has_moved {
+            true => self.look(now),
+            false => self.judge(node, now),
+        }
+    }
+
+    /// Counts the votes again as time passes, because the votes of silent nodes expire.
+    ///
+    /// Returns `true` if a clock has become wrong or right.
+    pub fn look(&mut self, now: Duration) -> bool {
+        self.count(now);
+        let nodes = 0..self.nodes.len();
+        nodes.fold(false, |changed, node| self.judge(node, now) || changed)
+    }
+
+    /// Returns the verdict on each node.
+    pub fn verdicts(&self, now: Duration) -> Vec<ClockVerdict> {
+        let is_tied = self
+            .tied_since
+            .is_some_and(|since| now.saturating_sub(since) >= TIED_FOR);
+        let votes = || self.nodes.iter().filter_map(|voter| voter.counted_ns);
+        let verdict = |voter: &Voter| match (voter.is_wrong, self.majority_ns, voter.counted_ns) {
+            (true, Some(majority_ns), _) => ClockVerdict::Wrong {
+                difference_ns: voter.ahead_of(majority_ns),
+            },
+            (_, _, Some(own_ns)) if is_tied => {
+                let differences = votes().map(|vote_ns| own_ns.saturating_sub(vote_ns));
+                ClockVerdict::Tied {
+                    difference_ns: differences
+                        .max_by_key(|difference_ns| difference_ns.unsigned_abs())
+                        .unwrap_or(0),
+                }
+            }
+            _ => ClockVerdict::Agrees,
+        };
+        self.nodes.iter().map(verdict).collect()
+    }
+
+    /// Returns `true` if the clock of a node differs from that of the majority.
+    #[must_use]
+    pub fn is_wrong(&self, node: usize) -> bool {
+        self.nodes.get(node).is_some_and(|voter| voter.is_wrong)
+    }
+
+    /// Returns how many nodes have voted, and how many of them agree with the majority.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        let votes = || self.nodes.iter().filter_map(|voter| voter.counted_ns);
+        let agrees = |vote_ns: &i64| self.majority_ns.is_some_and(|of| self.agree(*vote_ns, of));
+        Tally {
+            votes: votes().count(),
+            agreeing: votes().filter(agrees).count(),
+        }
+    }
+
+    fn agree(&self, first_ns: i64, second_ns: i64) -> bool {
+        first_ns.abs_diff(second_ns) <= self.limit_ns.unsigned_abs()
+    }
+
+    /// Finds the largest group of clocks that agree within the limit.
+    fn count(&mut self, now: Duration) {
+        for voter in &mut self.nodes {
+            let is_valid = |heard: Duration| now.saturating_sub(heard) <= VOTE_LASTS;
+            voter.counted_ns = voter
+                .vote_ns
+                .filter(|_| voter.heard().is_some_and(is_valid));
+        }
+        let mut votes: Vec<i64> = self
+            .nodes
+            .iter()
+            .filter_map(|voter| voter.counted_ns)
+            .collect();
+        votes.sort_unstable();
+        let group_from = |first: usize| {
+            let group = &votes[first..];
+            let count = group.partition_point(|vote_ns| self.agree(*vote_ns, votes[first]));
+            &group[..count]
+        };
+        // Of groups of equal size, the first one counts: a majority overlaps with every other one.
+        let groups = (0..votes.len()).rev().map(group_from);
+        let largest = groups.max_by_key(|group| group.len()).unwrap_or_default();
+        let is_majority = largest.len() >= 2 && 2 * largest.len() > votes.len();
+        let former_ns = self
+            .majority_ns
+            .filter(|former_ns| votes.iter().any(|vote_ns| self.agree(*vote_ns, *former_ns)))
+            .filter(|_| votes.len() >= 2);
+        let median_ns = largest.get(largest.len().saturating_sub(1) / 2).copied();
+        let is_tied = match (votes.first(), votes.last()) {
+            (Some(first_ns), Some(last_ns)) => !self.agree(*first_ns, *last_ns),
+            _ => false,
+        };
+        self.majority_ns = match is_majority {
+            true => median_ns,
+            false => former_ns,
+        };
+        self.tied_since = match is_tied && self.majority_ns.is_none() {
+            true => self.tied_since.or(Some(now)),
+            false => None,
+        };
+    }
+
+    /// Compares a node with the majority. Returns `true` if its clock has become wrong or right.
+    fn judge(&mut self, node: usize, now: Duration) -> bool {
+        let Some(voter) = self.nodes.get_mut(node) else {
+            return false;
+        };
+        let was_wrong = voter.is_wrong;
+        voter.compare(self.majority_ns, self.limit_ns, now);
+        voter.is_wrong != was_wrong
+    }
+}
+
+/// The number of votes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tally {
+    /// Number of nodes that have voted.
+    pub votes: usize,
+    /// Number of nodes that agree with the majority.
+    pub agreeing: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(5);
+    const S: i64 = 1_000_000_000;
+    const T0: i64 = 1_700_000_000 * S;
+
+    /// A vote, with its present time. Nodes deliver a block every 0.1 s.
+    struct Rig {
+        vote: ClockVote,
+        now: Duration,
+    }
+
+    impl Rig {
+        fn new(nodes: usize) -> Self {
+            Self {
+                vote: ClockVote::new(LIMIT, nodes),
+                now: Duration::from_secs(1000),
+            }
+        }
+
+        /// Lets some nodes, whose clocks are off by some seconds, deliver for `seconds`.
+        fn run(&mut self, seconds: f64, nodes: &[(usize, i64)]) -> Vec<ClockVerdict> {
+            for _ in 0..(10.0 * seconds) as u32 {
+                self.now += Duration::from_millis(100);
+                for (node, off_s) in nodes {
+                    let time_ns = T0 + self.now.as_nanos() as i64 + off_s * S;
+                    self.vote.arrived(*node, time_ns, self.now);
+                }
+            }
+            self.vote.look(self.now);
+            self.vote.verdicts(self.now)
+        }
+
+        fn wait(&mut self, seconds: u64) {
+            self.now += Duration::from_secs(seconds);
+        }
+    }
+
+    fn wrong(seconds: i64) -> ClockVerdict {
+        ClockVerdict::Wrong {
+            difference_ns: seconds * S,
+        }
+    }
+
+    const AGREES: ClockVerdict = ClockVerdict::Agrees;
+
+    #[test]
+    fn majority_decides_whoever_was_first() {
+        for off_s in [3600, 600, 30, -30, -600, -3600] {
+            let mut rig = Rig::new(3);
+            assert_eq!(rig.run(10.0, &[(0, off_s)]), [AGREES; 3]);
+            let verdicts = rig.run(5.0, &[(0, off_s), (1, 0), (2, 0)]);
+            assert_eq!(verdicts, [wrong(off_s), AGREES, AGREES]);
+            assert_eq!(
+                rig.vote.tally(),
+                Tally {
+                    votes: 3,
+                    agreeing: 2
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn clock_that_is_right_again_agrees_at_once() {
+        let mut rig = Rig::new(3);
+        rig.run(5.0, &[(0, 600), (1, 0), (2, 0)]);
+        assert_eq!(rig.run(0.1, &[(0, 0), (1, 0), (2, 0)]), [AGREES; 3]);
+    }
+
+    #[test]
+    fn first_node_after_a_power_cut_does_not_decide_alone() {
+        let mut rig = Rig::new(3);
+        rig.run(5.0, &[(0, 0), (1, 0), (2, 0)]);
+        rig.wait(60);
+        assert_eq!(rig.run(0.1, &[(0, 600)]), [wrong(600), AGREES, AGREES]);
+        // The votes of nodes that stay away expire.
+        rig.wait(301);
+        assert_eq!(rig.run(2.0, &[(0, 600)]), [AGREES; 3]);
+    }
+
+    #[test]
+    fn most_clocks_take_the_time_with_them() {
+        let mut rig = Rig::new(3);
+        rig.run(5.0, &[(0, 0), (1, 0), (2, 0)]);
+        let verdicts = rig.run(5.0, &[(0, 600), (1, 600), (2, 0)]);
+        assert_eq!(verdicts, [AGREES, AGREES, wrong(-600)]);
+    }
+
+    #[test]
+    fn two_nodes_that_disagree_are_both_reported() {
+        let mut rig = Rig::new(2);
+        let tied = |seconds: i64| ClockVerdict::Tied {
+            difference_ns: seconds * S,
+        };
+        assert_eq!(rig.run(2.0, &[(0, 600), (1, 0)]), [AGREES; 2]);
+        let verdicts = rig.run(5.0, &[(0, 600), (1, 0)]);
+        assert_eq!(verdicts, [tied(600), tied(-600)]);
+        // If they have agreed before, the one that jumps is wrong.
+        let mut rig = Rig::new(2);
+        rig.run(5.0, &[(0, 0), (1, 0)]);
+        let verdicts = rig.run(5.0, &[(0, 600), (1, 0)]);
+        assert_eq!(verdicts, [wrong(600), AGREES]);
+    }
+
+    // The samples of such a node are late, and it is not alone with its time for long.
+    #[test]
+    fn node_that_delivers_what_it_has_kept_during_an_outage_is_not_blamed() {
+        let mut rig = Rig::new(3);
+        let (mut behind_ns, step) = (120 * S, Duration::from_millis(100));
+        while behind_ns > 0 {
+            rig.now += step;
+            for node in 0..3 {
+                let late_ns = if node == 0 { behind_ns } else { 0 };
+                let time_ns = T0 + rig.now.as_nanos() as i64 - late_ns;
+                rig.vote.arrived(node, time_ns, rig.now);
+            }
+            rig.vote.look(rig.now);
+            assert_eq!(
+                rig.vote.verdicts(rig.now),
+                [AGREES; 3],
+                "{behind_ns} ns behind"
+            );
+            behind_ns -= S / 20;
+        }
+    }
+
+    #[test]
+    fn links_of_different_delay_and_jitter_agree() {
+        let mut rig = Rig::new(3);
+        for step in 0_u64..200 {
+            rig.now += Duration::from_millis(100);
+            for node in 0..3 {
+                let late_ns = (node as i64 * 2 + ((step * 7 + node * 3) % 10) as i64 / 10) * S;
+                let time_ns = T0 + rig.now.as_nanos() as i64 - late_ns;
+                rig.vote.arrived(node as usize, time_ns, rig.now);
+            }
+        }
+        rig.vote.look(rig.now);
+        assert_eq!(rig.vote.verdicts(rig.now), [AGREES; 3]);
+    }
+}

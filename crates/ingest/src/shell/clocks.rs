@@ -1,0 +1,67 @@
+//! Reports about the clocks of the nodes.
+
+use std::collections::BTreeMap;
+
+use spandrel_bus::{Event, EventKind, Name, NodeClock};
+
+use super::IngestService;
+use crate::error::IngestError;
+
+impl IngestService {
+    /// Counts the votes on the clocks again, and publishes an event for each node whose clock has
+    /// become wrong or right.
+    pub(super) async fn report_clocks(&mut self) -> Result<(), IngestError> {
+        let elapsed = self.started.elapsed();
+        let Some(timekeeping) = &mut self.timekeeping else {
+            return Ok(());
+        };
+        let inputs = timekeeping.count_votes(elapsed);
+        let reports = timekeeping.reports(elapsed);
+        for input in inputs {
+            self.handle(input).await?;
+        }
+        for report in reports {
+            let Some(node) = self.layout.nodes().get(report.node) else {
+                continue; // reports have the indices of the layout
+            };
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: self.last_time_ns.unwrap_or(0),
+                kind: match report.is_over {
+                    true => EventKind::ClockRight,
+                    false => EventKind::ClockWrong,
+                },
+                subject: node.name.to_string(),
+                what: report.what,
+                why: report.why,
+            };
+            self.events.put(&event).await?;
+        }
+        Ok(())
+    }
+
+    /// Returns the clocks of the nodes that do not sample at the times of the frames, or whose time
+    /// differs from that of most nodes.
+    pub(super) fn node_clocks(&self) -> BTreeMap<Name, NodeClock> {
+        let names = self.layout.nodes().iter().map(|node| node.name.clone());
+        let own = names.clone().zip(self.core.node_clocks());
+        let mut clocks: BTreeMap<Name, NodeClock> = own
+            .filter_map(|(name, clock)| Some((name, clock?)))
+            .collect();
+        if let Some(timekeeping) = &self.timekeeping {
+            let differences = timekeeping.differences_s(self.started.elapsed());
+            for (name, difference_s) in names.zip(differences) {
+                if difference_s.is_some() {
+                    clocks.insert(
+                        name,
+                        NodeClock {
+                            difference_s,
+                            ..NodeClock::default()
+                        },
+                    );
+                }
+            }
+        }
+        clocks
+    }
+}

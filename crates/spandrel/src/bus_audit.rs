@@ -1,0 +1,401 @@
+//! The part of the audit log that concerns the bus: what Zenoh refuses.
+//!
+//! Zenoh rejects connections and messages inside its own threads, and offers no interface to learn
+//! of them. It logs them, however, below the level that `spandrel` shows. This module reads these
+//! log events and passes them to the audit log ([`Audit`]).
+//!
+//! The texts are those of Zenoh 1.10. If another version words them differently, nothing is
+//! reported; the end-to-end tests notice.
+
+use spandrel_service::{Audit, Refused};
+use std::cell::Cell;
+use std::collections::BTreeMap;
+use std::fmt::{self, Write as _};
+use std::time::Duration;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Level, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::Context;
+
+/// Maximum number of events that wait. Further ones are not reported.
+const EVENTS_WAITING: usize = 4096;
+/// Maximum number of characters of an event that are read.
+const MOST_CHARACTERS: usize = 1024;
+/// Maximum number of connections whose party is remembered.
+const MOST_PARTIES: usize = 4096;
+/// Interval between summaries.
+const PASS_EVERY: Duration = Duration::from_secs(1);
+
+/// Failed handshakes, in every process that listens on the network.
+const HANDSHAKES: &str = "zenoh_link_commons::quic";
+/// Accepted connections with the name of the certificate.
+const CERTIFICATES: &str = "zenoh_link_quic::unicast";
+/// Accepted connections with the identifier of the session.
+const SESSIONS: &str = "zenoh_transport::unicast::establishment::accept";
+/// Decisions on access, in a router. The permitted ones are among them.
+const DECISIONS: &str = "zenoh::net::routing::interceptor::access_control";
+
+/// What a process reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// Failed handshakes.
+    Handshakes,
+    /// Failed handshakes, and what the roles of a router do not permit.
+    Router,
+}
+
+impl Scope {
+    /// Returns the log events of Zenoh that are read.
+    pub fn targets(self) -> Targets {
+        let handshakes = Targets::new().with_target(HANDSHAKES, Level::WARN);
+        match self {
+            Self::Handshakes => handshakes,
+            Self::Router => handshakes
+                .with_target(CERTIFICATES, Level::DEBUG)
+                .with_target(SESSIONS, Level::DEBUG)
+                .with_target(DECISIONS, Level::TRACE),
+        }
+    }
+}
+
+/// Takes log events of Zenoh to a thread that reads them.
+#[derive(Debug)]
+pub struct BusAudit {
+    events: flume::Sender<String>,
+}
+
+impl BusAudit {
+    /// Starts the thread. Returns `None` if the operating system cannot start one.
+    pub fn start() -> Option<Self> {
+        let (events, waiting) = flume::bounded::<String>(EVENTS_WAITING);
+        let read = move || {
+            let mut parties = Parties::default();
+            loop {
+                match waiting.recv_timeout(PASS_EVERY) {
+                    Ok(text) => {
+                        if let Some(Refusal { refused, who, why }) = parties.read(&text) {
+                            Audit::of_process().refuse(refused, &who, &why);
+                        }
+                    }
+                    Err(flume::RecvTimeoutError::Timeout) => {}
+                    Err(flume::RecvTimeoutError::Disconnected) => return,
+                }
+                Audit::of_process().pass();
+            }
+        };
+        let thread = std::thread::Builder::new().name("audit".to_owned());
+        thread.spawn(read).is_ok().then_some(Self { events })
+    }
+}
+
+impl<S: Subscriber> Layer<S> for BusAudit {
+    fn on_event(&self, event: &Event<'_>, _context: Context<'_, S>) {
+        let mut message = Message::default();
+        event.record(&mut message);
+        if message.is_notable() {
+            // If the queue is full, the log would be full as well.
+            let _ = self.events.try_send(message.0);
+        }
+    }
+}
+
+thread_local! {
+    /// Decisions that Zenoh makes in advance, on the thread that makes them.
+    static IN_ADVANCE: Cell<InAdvance> = const { Cell::new(InAdvance(None)) };
+}
+
+/// Decisions on all actions that Zenoh makes when it learns of a key. None of them concerns a
+/// message.
+///
+/// Contains the number of the next action in [`ACTIONS`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct InAdvance(Option<usize>);
+
+/// Actions in the order of the decisions in advance.
+const ACTIONS: [&str; 9] = [
+    "Query",
+    "Reply",
+    "Put",
+    "Delete",
+    "Declare/Undeclare Subscriber",
+    "Declare/Undeclare Queryable",
+    "Declare/Undeclare Liveliness Token",
+    "Liveliness Query",
+    "Declare Liveliness Subscriber",
+];
+
+impl InAdvance {
+    /// Reads an event. Returns `true` if it does not concern a message.
+    fn read(&mut self, text: &str) -> bool {
+        if text.starts_with("ACL (ingress): caching permissions") {
+            self.0 = Some(0);
+            return true;
+        }
+        let (Some(next), Some((_, action))) = (self.0, text.split_once("authorized to ")) else {
+            return false;
+        };
+        let is = |place: usize| {
+            let name = ACTIONS.get(place);
+            name.is_some_and(|name| action.starts_with(&format!("{name} (")))
+        };
+        self.0 = match next {
+            // A party that fits several entries of the router file has one decision for each.
+            next if next > 0 && is(next - 1) => Some(next),
+            next if is(next) => Some(next + 1),
+            _ => None,
+        };
+        self.0.is_some()
+    }
+}
+
+/// The beginning of the text of an event.
+#[derive(Debug, Default)]
+struct Message(String);
+
+impl Message {
+    /// Returns `true` for an event that [`Parties::read`] uses. A router decides on every message,
+    /// so that most events are not.
+    fn is_notable(&self) -> bool {
+        if self.0.contains("(egress)") {
+            return false;
+        }
+        let mut in_advance = IN_ADVANCE.get();
+        let is_in_advance = in_advance.read(&self.0);
+        IN_ADVANCE.set(in_advance);
+        !is_in_advance && !self.0.contains(" is authorized to ")
+    }
+}
+
+impl Visit for Message {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        if field.name() == "message" {
+            // A longer text ends with an error, and its beginning remains.
+            let _ = write!(Limited(&mut self.0), "{value:?}");
+        }
+    }
+}
+
+/// A text that accepts no more than [`MOST_CHARACTERS`].
+struct Limited<'t>(&'t mut String);
+
+impl fmt::Write for Limited<'_> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let left = MOST_CHARACTERS.saturating_sub(self.0.len());
+        self.0.push_str(&text[..text.floor_char_boundary(left)]);
+        if text.len() > left {
+            return Err(fmt::Error);
+        }
+        Ok(())
+    }
+}
+
+/// Something that Zenoh refused.
+#[derive(Debug, PartialEq, Eq)]
+struct Refusal {
+    refused: Refused,
+    who: String,
+    why: String,
+}
+
+/// The parties of the present connections, as the events of Zenoh name them.
+#[derive(Debug, Default)]
+struct Parties {
+    /// Names of certificates by the address of their connection.
+    names: BTreeMap<String, String>,
+    /// Parties by the identifier of their session.
+    sessions: BTreeMap<String, String>,
+    /// Sessions without any right, whose address is not known yet.
+    without_rights: Vec<String>,
+}
+
+impl Parties {
+    /// Reads an event. Returns what Zenoh refused, if anything.
+    fn read(&mut self, text: &str) -> Option<Refusal> {
+        if let Some(failure) = text.strip_prefix("QUIC acceptor failed: ") {
+            return Some(Refusal {
+                refused: Refused::BusHandshake,
+                who: "unknown address".to_owned(),
+                why: reason(failure),
+            });
+        }
+        if let Some(accepted) = text.strip_prefix("Accepted QUIC connection on ") {
+            self.take_certificate(accepted);
+            return None;
+        }
+        if let Some(accepted) = text.strip_prefix("New transport link accepted from ") {
+            return self.take_session(accepted);
+        }
+        if let Some((session, _)) = text.split_once(" did not match any configured ACL subject") {
+            if self.without_rights.len() < MOST_PARTIES {
+                self.without_rights.push(session.to_owned());
+            }
+            return None;
+        }
+        self.take_decision(text)
+    }
+
+    /// Reads `SERVER: CLIENT. NAME.`
+    fn take_certificate(&mut self, accepted: &str) {
+        let Some((_, client)) = accepted.split_once(": ") else {
+            return;
+        };
+        let Some((address, name)) = client.split_once(". ") else {
+            return;
+        };
+        let name = name
+            .trim_end_matches('.')
+            .trim_start_matches("Common Name: ");
+        if self.names.len() >= MOST_PARTIES {
+            self.names.clear(); // the next connections are named again
+        }
+        self.names.insert(address.to_owned(), name.to_owned());
+    }
+
+    /// Reads `SESSION to ROUTER: LINK`.
+    fn take_session(&mut self, accepted: &str) -> Option<Refusal> {
+        let (session, link) = accepted.split_once(" to ")?;
+        let address = link.rsplit("quic/").next()?;
+        let is_of_address = |c: char| c.is_ascii_hexdigit() || ".:[]".contains(c);
+        let end = address.find(|c| !is_of_address(c)).unwrap_or(address.len());
+        let address = &address[..end];
+        let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+        let who = match self.names.remove(address) {
+            Some(name) => format!("{name} ({host})"),
+            None => host.to_owned(),
+        };
+        if self.sessions.len() >= MOST_PARTIES {
+            self.sessions.clear(); // later refusals state the identifier of the session
+        }
+        self.sessions.insert(session.to_owned(), who.clone());
+        let place = self.without_rights.iter().position(|s| s == session)?;
+        self.without_rights.swap_remove(place);
+        Some(Refusal {
+            refused: Refused::BusRight,
+            who,
+            why: "the router file does not name this party; it has no rights".to_owned(),
+        })
+    }
+
+    /// Reads `SESSION on SUBJECT is unauthorized to ACTION on KEY`, or the same for a decision that
+    /// was made before.
+    fn take_decision(&self, text: &str) -> Option<Refusal> {
+        let (who, action) = text.split_once(" is unauthorized to ")?;
+        let who = who.strip_prefix("Using cached result: ").unwrap_or(who);
+        let session = who.split(" on ").next().unwrap_or(who);
+        let who = self.sessions.get(session).map_or(session, String::as_str);
+        Some(Refusal {
+            refused: Refused::BusRight,
+            who: who.to_owned(),
+            why: action.replacen(" (ingress)", "", 1),
+        })
+    }
+}
+
+/// Returns the reason for a failed handshake.
+fn reason(failure: &str) -> String {
+    let quoted = failure.split_once("reason: \"");
+    let quoted = quoted.and_then(|(_, rest)| rest.split_once('"'));
+    match quoted.map(|(reason, _)| reason) {
+        Some(reason) if !reason.is_empty() => reason.to_owned(),
+        _ => {
+            let error = failure.split(" at /").next().unwrap_or(failure);
+            error.split(" Hint:").next().unwrap_or(error).to_owned()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(parties: &mut Parties, text: &str) -> Option<(Refused, String, String)> {
+        let found = parties.read(text);
+        found.map(|Refusal { refused, who, why }| (refused, who, why))
+    }
+
+    #[test]
+    fn a_refused_message_names_certificate_address_action_and_key() {
+        let mut parties = Parties::default();
+        for text in [
+            "Accepted QUIC connection on 10.0.0.5:7447: 10.0.0.9:40001. Common Name: viewer.ada.",
+            "New transport link accepted from ab12 to cd34: TransportLinkUnicast { link: Link { \
+             src: quic/10.0.0.5:7447, dst: quic/10.0.0.9:40001, mtu: 65535 }, config: X } ",
+        ] {
+            assert_eq!(read(&mut parties, text), None, "{text}");
+        }
+        for text in [
+            "Using cached result: ab12 is unauthorized to Put (ingress) on s/house/event",
+            "ab12 on eth0+viewer.ada+quic is unauthorized to Put (ingress) on s/house/event",
+        ] {
+            let expected = (
+                Refused::BusRight,
+                "viewer.ada (10.0.0.9)".to_owned(),
+                "Put on s/house/event".to_owned(),
+            );
+            assert_eq!(read(&mut parties, text), Some(expected), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_party_that_the_router_file_does_not_name_is_reported_with_its_address() {
+        let mut parties = Parties::default();
+        let unnamed = "ab12 did not match any configured ACL subject. Default permission `Deny` \
+                       will be applied on all messages";
+        assert_eq!(read(&mut parties, unnamed), None);
+        let accepted = "New transport link accepted from ab12 to cd34: Link { dst: \
+                        quic/[fd00::1]:40001, mtu: 1 }";
+        let (refused, who, _) = read(&mut parties, accepted).unwrap();
+        assert_eq!((refused, who.as_str()), (Refused::BusRight, "[fd00::1]"));
+    }
+
+    #[test]
+    fn a_failed_handshake_has_its_reason() {
+        let mut parties = Parties::default();
+        let failed = |error: &str| {
+            format!(
+                "QUIC acceptor failed: {error} at /x/zenoh-link-commons-1.10.2/src/quic/unicast.rs:\
+                 688. Hint: increase the system open file limit."
+            )
+        };
+        for (error, why) in [
+            (
+                "TransportError(Error { code: Code::crypto(30), frame: None, reason: \"invalid peer \
+                 certificate: UnknownIssuer\" })",
+                "invalid peer certificate: UnknownIssuer",
+            ),
+            ("TimedOut", "TimedOut"),
+        ] {
+            let (refused, _, found) = read(&mut parties, &failed(error)).unwrap();
+            assert_eq!((refused, found.as_str()), (Refused::BusHandshake, why));
+        }
+    }
+
+    #[test]
+    fn decisions_in_advance_are_no_messages() {
+        let mut in_advance = InAdvance(None);
+        assert!(in_advance.read("ACL (ingress): caching permissions for `s/house/event` ..."));
+        for action in ACTIONS {
+            let text = format!("ab12 on viewer.ada is unauthorized to {action} (ingress) on k");
+            assert!(
+                in_advance.read(&text) && in_advance.read(&text),
+                "{action}, for two entries of the file"
+            );
+        }
+        let put = "ab12 on viewer.ada is unauthorized to Put (ingress) on k";
+        assert!(!in_advance.read(put), "it is over");
+        assert!(in_advance.read("ACL (ingress): caching permissions for `k` ..."));
+        assert!(
+            !in_advance.read(put),
+            "a party without an entry has no decisions"
+        );
+    }
+
+    #[test]
+    fn texts_are_cut() {
+        let mut text = String::new();
+        let long = "ä".repeat(MOST_CHARACTERS);
+        assert!(write!(Limited(&mut text), "x{long}").is_err());
+        assert_eq!(text.len(), MOST_CHARACTERS - 1);
+    }
+}

@@ -1,0 +1,181 @@
+//! Neighbours that are slow, wrong or hostile: others get in, the log names them, and the log stays
+//! small.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use spandrel_bus::Service;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use support::{DEADLINE, Drops, Process, Site, spandrel, two_storeys};
+
+/// Starts all services with a page, and returns the address of the page.
+fn with_page(site: &Site, arguments: &[&str]) -> (Process, String) {
+    let mut command = site.listening("run");
+    command.args(["--http", "127.0.0.1:0"]).args(arguments);
+    let services = Process::start(&mut command);
+    services.wait_for_output("address of the page", |said| said.contains("page: http"));
+    let said = services.output();
+    let address = said.split("://").nth(1).unwrap();
+    let address = address.split('/').next().unwrap().to_owned();
+    services.wait_for_log("ready structures=1");
+    (services, address)
+}
+
+/// Sends a request and returns the reply.
+fn exchange(address: &str, request: &str) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut reply = String::new();
+    // The server may close the connection before it has read all of a wrong request.
+    let _ = stream.read_to_string(&mut reply);
+    reply
+}
+
+fn get(address: &str, path: &str, headers: &str) -> String {
+    let request =
+        format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n{headers}Connection: close\r\n\r\n");
+    exchange(address, &request)
+}
+
+/// Regression: 300 connections that sent half a head kept everybody out for 20 s.
+#[test]
+fn slow_connections_keep_nobody_out() {
+    const MANY: usize = 300;
+    let site = Site::with(&two_storeys(""));
+    let (services, address) = with_page(&site, &[]);
+    let address: SocketAddr = address.parse().unwrap();
+    let slow: Vec<TcpStream> = (0..MANY)
+        .map(|_| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            // The server may have closed it to make room for a later one.
+            let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: ");
+            stream
+        })
+        .collect();
+    for _ in 0..3 {
+        let reply = get(&address.to_string(), "/api/structures", "");
+        assert!(reply.starts_with("HTTP/1.1 200"), "{reply:?}");
+    }
+    services.wait_for_log("too many connections to the page");
+    let metrics = get(&address.to_string(), "/metrics", "");
+    let closed = metrics
+        .lines()
+        .find_map(|line| line.strip_prefix("spandrel_refused_total{reason=\"connection\"} "))
+        .and_then(|count| count.parse::<usize>().ok());
+    assert!(closed >= Some(MANY - 256), "{closed:?} connections closed");
+    drop(slow);
+    services.stop().expect_code(0);
+}
+
+#[test]
+fn heads_that_two_programs_may_read_differently_are_rejected() {
+    let site = Site::with(&two_storeys(""));
+    let (services, address) = with_page(&site, &[]);
+    for (request, status) in [
+        (
+            "GET /health/live HTTP/1.1\r\nHost: HERE\r\nConnection: close\r\n\r\n",
+            200,
+        ),
+        (
+            "GET /health/live HTTP/1.1\r\nHost: HERE\r\nHost: HERE\r\nConnection: close\r\n\r\n",
+            400,
+        ),
+        (
+            "GET /health/live HTTP/1.1\r\nConnection: close\r\n\r\n",
+            400,
+        ),
+        (
+            "GET /health/live HTTP/1.1\nHost: HERE\nConnection: close\n\n",
+            400,
+        ),
+        (
+            "GET /health/live HTTP/1.1\r\nHost: HERE\nConnection: close\r\n\r\n",
+            400,
+        ),
+    ] {
+        let reply = exchange(&address, &request.replace("HERE", &address));
+        let found = reply
+            .split(' ')
+            .nth(1)
+            .and_then(|code| code.parse::<u16>().ok());
+        assert_eq!(found, Some(status), "{request:?}: {reply:?}");
+    }
+    services.wait_for_log("malformed-request");
+    services.stop().expect_code(0);
+}
+
+/// Regression: 40 wrong tokens left no trace, and kept out the holder of a right one at the same
+/// address.
+#[test]
+fn wrong_tokens_are_logged_and_counted_and_right_ones_still_work() {
+    let site = Site::with(&two_storeys(""));
+    let tokens = site.folder().join("tokens.json");
+    let mut issue = spandrel("token");
+    issue
+        .args(["ada", "--role", "viewer", "--file"])
+        .arg(&tokens);
+    let token = Process::start(&mut issue).wait().expect_code(0).stdout;
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, "[dashboard]\ntokens = \"tokens.json\"\n").unwrap();
+    let (services, address) = with_page(&site, &["--config", configuration.to_str().unwrap()]);
+    let bearer = |token: &str| format!("Authorization: Bearer {token}\r\n");
+    for _ in 0..40 {
+        let reply = get(&address, "/api/structures", &bearer("spandrel-wrong"));
+        let refused = ["HTTP/1.1 401", "HTTP/1.1 429"];
+        assert!(
+            refused.iter().any(|status| reply.starts_with(status)),
+            "{reply}"
+        );
+    }
+    let reply = get(&address, "/api/structures", &bearer(token.trim()));
+    assert!(reply.starts_with("HTTP/1.1 200"), "{reply}");
+    services.wait_for_log("what=\"wrong-token\" who=\"127.0.0.1\"");
+    let lines = services.log().matches("refused what=").count();
+    assert!(lines <= 20, "{lines} lines about 40 wrong tokens");
+    let metrics = get(&address, "/metrics", &bearer(token.trim()));
+    let count = |reason: &str| {
+        let start = format!("spandrel_refused_total{{reason=\"{reason}\"}} ");
+        let line = metrics.lines().find_map(|line| line.strip_prefix(&start));
+        line.and_then(|count| count.parse::<u64>().ok()).unwrap()
+    };
+    assert_eq!(count("wrong-token") + count("repeated-wrong-token"), 40);
+    assert!(
+        !services.log().contains("spandrel-wrong"),
+        "the log has a token"
+    );
+    services.stop().expect_code(0);
+}
+
+/// Regression: malformed queries wrote 33.8 MB of log in 5 s.
+#[tokio::test(flavor = "multi_thread")]
+async fn malformed_queries_are_counted_and_hardly_logged() {
+    const MANY: u64 = 2_000;
+    let site = Site::with(&two_storeys(""));
+    let services = Process::start(site.listening("run").args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    let query = format!("{}?after=yesterday", site.keys().recording());
+    for _ in 0..MANY {
+        let replies = bus.session().get(&query).timeout(DEADLINE).await.unwrap();
+        let reply = replies.recv_async().await.unwrap();
+        assert!(reply.result().is_err(), "a malformed query has a reply");
+    }
+    drops.expect(Service::Ingest, "refused-queries", MANY).await;
+    let lines = services.log().matches("query rejected").count();
+    assert!(
+        (1..=12).contains(&lines),
+        "{lines} lines about {MANY} queries"
+    );
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}

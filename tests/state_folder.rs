@@ -1,0 +1,281 @@
+//! The folder of the state: who may read it, and what happens when it disappears or cannot be used.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use spandrel_bus::{Bus, Event, EventKind, HistorySpan, Name, Service, Subscription};
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+use support::{DEADLINE, Drops, Process, Sensors, Site, SmallDisk, two_storeys, within};
+
+/// Writes a configuration with state and history in `state`, and returns the command of `run`.
+fn run_with_state(site: &Site, state: &Path) -> Command {
+    let configuration = site.folder().join("spandrel.toml");
+    let text = format!(
+        "[state]\nfolder = \"{0}\"\ncheckpoint-s = 1\n[history]\ndatabase = \"{0}/history.sqlite\"\n",
+        state.display()
+    );
+    std::fs::write(&configuration, text).unwrap();
+    let mut command = site.listening("run");
+    command.arg("--config").arg(configuration);
+    command.args(["--http", "none"]);
+    command
+}
+
+/// Waits for an event of a kind.
+async fn event(events: &Subscription<Event>, kind: EventKind) -> Event {
+    within(&format!("event {kind:?}"), async {
+        loop {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            if event.kind == kind {
+                return event;
+            }
+        }
+    })
+    .await
+}
+
+/// Waits until the history has values of a parameter after this time (s).
+async fn stored_until(bus: &Bus, site: &Site, time_s: f64) -> HistorySpan {
+    let key = site.keys().history(&Name::new("storey-2").unwrap());
+    within("an answer of the history", async {
+        loop {
+            let query = format!("{key}?points=20000");
+            let answers = bus.ask::<HistorySpan>(&query, DEADLINE).await.unwrap();
+            let is_whole =
+                |span: &HistorySpan| span.rows.time_s.last().is_some_and(|t| *t > time_s);
+            if let Some((_, span)) = answers.into_iter().find(|(_, span)| is_whole(span)) {
+                return span;
+            }
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    })
+    .await
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = vec![folder.to_owned()];
+    let mut next = 0;
+    while let Some(path) = found.get(next).cloned() {
+        next += 1;
+        if path.is_dir() {
+            found.extend(
+                std::fs::read_dir(path)
+                    .unwrap()
+                    .map(|entry| entry.unwrap().path()),
+            );
+        }
+    }
+    found
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn recordings_checkpoints_and_history_are_for_their_owner_alone() {
+    let site = Site::with(&two_storeys(""));
+    let state = site.folder().join("state");
+    let services = Process::start(&mut run_with_state(&site, &state));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let record = site.simulate(20.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    stored_until(&bus, &site, 19.0).await;
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+    let found = files(&state);
+    for kind in ["mcap", "checkpoint", "sqlite"] {
+        let has = |path: &PathBuf| path.extension().is_some_and(|extension| extension == kind);
+        assert!(found.iter().any(has), "no {kind} among {found:?}");
+    }
+    for path in found {
+        let mode = path.metadata().unwrap().mode() & 0o777;
+        let expected = if path.is_dir() { 0o700 } else { 0o600 };
+        assert_eq!(mode, expected, "{}: {mode:o}", path.display());
+    }
+}
+
+/// Regression: services wrote to files without a name until they restarted, and said nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_state_folder_that_disappears_is_noticed_and_used_again_when_it_is_back() {
+    for returns in [Returns::AsItWas, Returns::Empty] {
+        let site = Site::with(&two_storeys(""));
+        let state = site.folder().join("state");
+        let services = Process::start(&mut run_with_state(&site, &state));
+        services.wait_for_log("ready structures=1");
+        let bus = site.join().await;
+        site.wait_for_services(&bus).await;
+        let drops = Drops::watch(&bus, &site.keys()).await;
+        let events = bus.subscribe(site.keys().event(), 256).await.unwrap();
+        let record = site.simulate(60.0);
+        let mut sensors = Sensors::start(&bus, &site.keys(), site.structure(), &record).await;
+        put_slowly(&mut sensors, 0..2000).await;
+        drops.when_done(Service::Identify, 1800).await;
+
+        let away = site.folder().join("away");
+        std::fs::rename(&state, &away).unwrap();
+        // No service has anything to do meanwhile.
+        event(&events, EventKind::StateLost).await;
+        event(&events, EventKind::HistoryUnavailable).await;
+        for service in [Service::Identify, Service::Alert] {
+            drops.expect(service, "checkpoints-not-kept", 1).await;
+        }
+        put_slowly(&mut sensors, 2000..4000).await;
+        drops
+            .expect(Service::Ingest, "frames-waiting-for-the-disk", 1800)
+            .await;
+        drops.when_done(Service::Alert, 3800).await;
+        assert!(!state.exists(), "a new folder would hide the former one");
+
+        match returns {
+            Returns::AsItWas => std::fs::rename(&away, &state).unwrap(),
+            Returns::Empty => std::fs::create_dir(&state).unwrap(),
+        }
+        event(&events, EventKind::StateBack).await;
+        event(&events, EventKind::HistoryBack).await;
+        put_slowly(&mut sensors, 4000..6000).await;
+        drops.when_done(Service::Alert, 5800).await;
+        let stored = stored_until(&bus, &site, 55.0).await;
+        bus.close().await.unwrap();
+        services.stop().expect_code(0);
+        let recorded = recorded(&site, &state);
+        let first = match returns {
+            Returns::AsItWas => 0,
+            Returns::Empty => 2000,
+        };
+        assert!(
+            recorded.len() >= 5800 - first,
+            "{} frames recorded from {first} on",
+            recorded.len()
+        );
+        if returns == Returns::AsItWas {
+            // An overloaded identification publishes one value per second. The rows that came while
+            // the folder was away span 20 s.
+            let longest = stored.rows.time_s.windows(2).map(|pair| pair[1] - pair[0]);
+            let longest = longest.fold(0.0, f64::max);
+            assert!(longest < 5.0, "{longest} s without a value in the history");
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Returns {
+    AsItWas,
+    Empty,
+}
+
+/// Publishes rows in blocks of 0.5 s.
+async fn put_slowly(sensors: &mut Sensors, rows: std::ops::Range<usize>) {
+    for start in rows.clone().step_by(50) {
+        sensors.put(start..(start + 50).min(rows.end)).await;
+        tokio::task::yield_now().await;
+    }
+}
+
+/// Returns the times of all recorded frames, as `convert` writes them.
+fn recorded(site: &Site, state: &Path) -> Vec<String> {
+    let folder = files(state)
+        .into_iter()
+        .find(|path| path.ends_with("recording"))
+        .unwrap();
+    let output = site.folder().join("recorded.csv");
+    let mut convert = support::spandrel("convert");
+    convert.arg(folder).arg(&output);
+    Process::start(&mut convert).wait().expect_code(0);
+    let text = std::fs::read_to_string(output).unwrap();
+    let times = text
+        .lines()
+        .skip(1)
+        .filter_map(|line| line.split(',').next());
+    times.map(str::to_owned).collect()
+}
+
+/// Regression: `run` ended with code 1, so that nothing was monitored.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_corrupt_history_is_set_aside_and_monitoring_starts() {
+    let site = Site::with(&two_storeys(""));
+    let state = site.folder().join("state");
+    std::fs::create_dir(&state).unwrap();
+    let path = state.join("history.sqlite");
+    let garbage = "this is no database ".repeat(1000);
+    std::fs::write(&path, &garbage).unwrap();
+    // The events are published at the start, so the test must be there before.
+    let bus = site.host().await;
+    let events = bus.subscribe(site.keys().event(), 256).await.unwrap();
+    let configuration = site.folder().join("spandrel.toml");
+    let text = "[state]\nfolder = \"state\"\n[history]\ndatabase = \"state/history.sqlite\"\n";
+    std::fs::write(&configuration, text).unwrap();
+    let mut command = site.connecting("run");
+    command.arg("--config").arg(&configuration);
+    let services = Process::start(command.args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let event = event(&events, EventKind::HistoryUnavailable).await;
+    let aside = files(&state)
+        .into_iter()
+        .find(|path| path.to_string_lossy().contains("history.sqlite.corrupt-"))
+        .expect("the corrupt file under another name");
+    assert_eq!(std::fs::read_to_string(&aside).unwrap(), garbage);
+    for name in [&path, &aside] {
+        let name = name.file_name().unwrap().to_str().unwrap();
+        assert!(event.what.contains(name), "{event:?}");
+        services.wait_for_log(name);
+    }
+    site.wait_for_services(&bus).await;
+    let record = site.simulate(20.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    stored_until(&bus, &site, 19.0).await;
+    services.stop().expect_code(0);
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_history_on_a_read_only_disk_waits_and_monitoring_starts() {
+    let site = Site::with(&two_storeys(""));
+    let disk = site.folder().join("disk");
+    std::fs::create_dir(&disk).unwrap();
+    let Some(_mounted) = SmallDisk::or_skip(&disk, "20m") else {
+        return;
+    };
+    remount(&disk, "ro");
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(
+        &configuration,
+        "[history]\ndatabase = \"disk/house.sqlite\"\n",
+    )
+    .unwrap();
+    let mut command = site.listening("run");
+    command.arg("--config").arg(&configuration);
+    let services = Process::start(command.args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    drops.expect(Service::History, "failed-writes", 2).await;
+    let record = site.simulate(20.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    remount(&disk, "rw");
+    let stored = stored_until(&bus, &site, 19.0).await;
+    assert!(
+        stored.rows.time_s[0] < 1.0,
+        "{:?}",
+        &stored.rows.time_s[..3]
+    );
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}
+
+fn remount(disk: &Path, how: &str) {
+    let options = format!("remount,{how}");
+    let done = Command::new("mount")
+        .args(["-o", &options])
+        .arg(disk)
+        .status();
+    assert!(done.unwrap().success(), "cannot remount {}", disk.display());
+}

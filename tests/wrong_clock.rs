@@ -1,0 +1,251 @@
+//! Live nodes in real time: one whose clock is far off, and one that a second program under its
+//! name has locked out.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use spandrel_bus::{
+    Block, Bus, Delivery, Event, EventKind, FrameBlock, Message as _, MonitoringDisplay, Name,
+    SampleBlock, Service, Start, Status, Stream, StreamSettings, Subscription,
+};
+use std::time::Duration;
+use support::{Node, Process, Record, Sensors, Site, put_raw, two_storeys, within};
+use tokio::time::Interval;
+
+/// Rows of a block, and its length.
+const ROWS: usize = 10;
+const BLOCK: Duration = Duration::from_millis(100);
+/// Blocks within which a wrong clock must be named: 10 s.
+const NAMED_WITHIN: usize = 100;
+const SECOND_NS: i64 = 1_000_000_000;
+/// Epochs are times in ns. This one is 30 days after that of the nodes.
+const THIRTY_DAYS: u64 = 30 * 86_400 * 1_000_000_000;
+
+/// Services, and nodes that deliver a record in real time.
+struct Running {
+    site: Site,
+    services: Process,
+    bus: Bus,
+    sensors: Sensors,
+    record: Record,
+    due: Interval,
+    row: usize,
+    events: Subscription<Event>,
+    statuses: Subscription<Status>,
+    reports: Subscription<MonitoringDisplay>,
+    frames: Stream<FrameBlock>,
+}
+
+impl Running {
+    async fn start() -> Self {
+        let site = Site::with(&two_storeys("[ingest]\nlateness-s = 1\n"));
+        let record = site.simulate(90.0);
+        let services = site.run();
+        let (bus, keys) = (site.join().await, site.keys());
+        site.wait_for_services(&bus).await;
+        let from_now = StreamSettings::new(Start::Now);
+        Self {
+            sensors: Sensors::start(&bus, &keys, site.structure(), &record).await,
+            events: bus.subscribe(keys.event(), 256).await.unwrap(),
+            statuses: bus
+                .subscribe(keys.statuses(Service::Ingest), 256)
+                .await
+                .unwrap(),
+            reports: bus.subscribe(keys.monitoring(), 256).await.unwrap(),
+            frames: bus
+                .follow(keys.frames(), keys.recording(), from_now)
+                .await
+                .unwrap(),
+            due: tokio::time::interval(BLOCK),
+            row: 0,
+            site,
+            services,
+            bus,
+            record,
+        }
+    }
+
+    /// Returns the next rows when they are due.
+    async fn next_rows(&mut self) -> std::ops::Range<usize> {
+        self.due.tick().await;
+        self.row += ROWS;
+        self.row - ROWS..self.row
+    }
+
+    /// Lets all nodes deliver a block. The clocks of some are off by seconds.
+    async fn put(&mut self, nodes: &[(&str, i64)]) {
+        let rows = self.next_rows().await;
+        for (node, off_s) in nodes {
+            self.sensors
+                .put_changed(node, rows.clone(), |block| {
+                    block.header.time_ns += off_s * SECOND_NS;
+                })
+                .await;
+        }
+    }
+
+    /// Lets the nodes deliver until an event of this kind arrives, at most for some blocks.
+    async fn until_event(
+        &mut self,
+        kind: EventKind,
+        nodes: &[(&str, i64)],
+        blocks: usize,
+    ) -> Event {
+        for _ in 0..blocks {
+            self.put(nodes).await;
+            let mut events = self.events.messages().try_iter();
+            if let Some((_, event)) = events.find(|(_, event)| event.kind == kind) {
+                return event;
+            }
+        }
+        panic!(
+            "no event {kind:?} within {blocks} blocks\n{}",
+            self.services.log()
+        );
+    }
+
+    /// Lets the nodes deliver until a frame satisfies a condition. Channels are those of ground,
+    /// floor-1 and roof (2).
+    async fn until_frame(
+        &mut self,
+        what: &str,
+        nodes: &[(&str, i64)],
+        is_it: impl Fn(&[f64]) -> bool,
+    ) {
+        for _ in 0..300 {
+            self.put(nodes).await;
+            for delivery in self.frames.deliveries().try_iter() {
+                let Delivery::Block(block) = delivery else {
+                    continue;
+                };
+                if block.iter().any(|(_, frame)| is_it(frame)) {
+                    return;
+                }
+            }
+        }
+        panic!("no frame {what}\n{}", self.services.log());
+    }
+
+    async fn last_status(&self) -> Status {
+        within("a status of ingest", async {
+            while self.statuses.messages().try_iter().last().is_some() {}
+            self.statuses.messages().recv_async().await.unwrap().1
+        })
+        .await
+    }
+}
+
+// The samples of all other nodes were dropped for as long as the clock was wrong, and nothing
+// reported it.
+#[tokio::test(flavor = "multi_thread")]
+async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_are_watched() {
+    let mut running = Running::start().await;
+    let all = |off_s: i64| [("roof", off_s), ("ground", 0), ("floor-1", 0)];
+    for _ in 0..30 {
+        running.put(&[("roof", 600)]).await;
+    }
+    let event = running
+        .until_event(EventKind::ClockWrong, &all(600), NAMED_WITHIN)
+        .await;
+    assert_eq!(event.subject, "roof", "{event:?}");
+    assert!(
+        event.what.contains("600.0 s ahead of most nodes"),
+        "{event:?}"
+    );
+    running
+        .until_frame("of the others alone", &all(600), |frame| {
+            frame[..2].iter().all(|value| value.is_finite())
+                && frame[2..].iter().all(|value| value.is_nan())
+        })
+        .await;
+    let status = running.last_status().await;
+    let clock = status.clocks[&Name::new("roof").unwrap()];
+    assert!(
+        (clock.difference_s.unwrap() - 600.0).abs() < 1.0,
+        "{clock:?}"
+    );
+    assert!(
+        status.drops["wrong-clock-samples"] > 0,
+        "{:?}",
+        status.drops
+    );
+    // This reaches people as a notice.
+    let mut named = false;
+    for _ in 0..NAMED_WITHIN {
+        running.put(&all(600)).await;
+        let mut reports = running.reports.messages().try_iter();
+        named |= reports.any(|(_, report)| report.words().contains("the clock of roof is 600.0 s"));
+    }
+    assert!(named, "{}", running.services.log());
+    let event = running
+        .until_event(EventKind::ClockRight, &all(0), NAMED_WITHIN)
+        .await;
+    assert_eq!(event.subject, "roof", "{event:?}");
+    running
+        .until_frame("of all nodes", &all(0), |frame| {
+            frame.iter().all(|value| value.is_finite())
+        })
+        .await;
+    running
+        .services
+        .stop()
+        .expect_code(0)
+        .expect_told(&["600.0 s ahead of most nodes"]);
+}
+
+// The node was refused after every restart, until its clock passed the epoch of the other program.
+#[tokio::test(flavor = "multi_thread")]
+async fn node_that_a_second_program_has_locked_out_is_used_again() {
+    let mut running = Running::start().await;
+    let all = [("roof", 0), ("ground", 0), ("floor-1", 0)];
+    let others = [("ground", 0), ("floor-1", 0)];
+    let complete = |frame: &[f64]| frame.iter().all(|value| value.is_finite());
+    running.until_frame("of all nodes", &all, complete).await;
+    let elsewhere = running.site.join().await;
+    let keys = running.site.keys();
+    // The node itself stores nothing, so that nobody contradicts the second program.
+    let node = running.sensors.remove("roof");
+    let (mut block, key) = (node.block(&running.record, 0..ROWS), node.key.clone());
+    let (channels, name) = (node.channels().to_vec(), node.name.clone());
+    drop(node);
+    let mut second = Node::start(&elsewhere, &keys, name, channels, THIRTY_DAYS).await;
+    let mut lockout = None;
+    let mut again = false;
+    for number in 0..400 {
+        running.put(&others).await;
+        block.header.time_ns = running.record.time_ns(running.row - ROWS);
+        let payload = block.encode().unwrap();
+        put_raw(&running.bus, &key, &SampleBlock::encoding(), payload).await;
+        block.header.sequence = block.end();
+        if number < 50 {
+            let mut ahead = second.block(&running.record, 0..ROWS);
+            ahead.header.time_ns = block.header.time_ns + THIRTY_DAYS as i64;
+            second.put(ahead).await;
+        }
+        let events = running.events.messages().try_iter().map(|(_, event)| event);
+        let mut lockouts = events.filter(|event| event.kind == EventKind::SamplesDropped);
+        lockout = lockout.or_else(|| lockouts.find(|event| event.what.contains("higher epoch")));
+        for delivery in running.frames.deliveries().try_iter() {
+            let Delivery::Block(frames) = delivery else {
+                continue;
+            };
+            let mut rows = frames.iter().map(|(_, frame)| frame.to_vec());
+            again |= lockout.is_some() && number > 60 && rows.any(|frame| complete(&frame));
+        }
+        if again {
+            break;
+        }
+    }
+    let lockout = lockout.unwrap_or_else(|| panic!("not named\n{}", running.services.log()));
+    assert_eq!(lockout.subject, "roof", "{lockout:?}");
+    assert!(again, "not used again\n{}", running.services.log());
+    let status = running.last_status().await;
+    assert!(status.drops["locked-out-blocks"] > 0, "{:?}", status.drops);
+    running.services.stop().expect_code(0);
+}
