@@ -9,6 +9,7 @@ mod demo;
 mod estimate;
 mod feed;
 mod info;
+mod judge;
 mod maintenance;
 mod notify;
 mod progress;
@@ -68,6 +69,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Baseline(arguments) => baseline::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Judge(arguments) => judge::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Validate(arguments) => validate::run(&arguments),
