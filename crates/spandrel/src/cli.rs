@@ -639,6 +639,7 @@ impl ReadingArguments {
 #[derive(Debug, Args)]
 pub struct JudgeArguments {
     /// Structure file with a table [judge]; the model may be missing.
+    #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
     /// CSV file with a time, the quantities and the conditions; may be repeated in the order of
     /// time.
