@@ -94,7 +94,7 @@ fn every_mistake_names_file_line_and_allowed_values() {
 fn a_file_with_a_model_is_read_completely() {
     let text = format!("{FILE}\n[model]\nkind = \"shear-building\"\n");
     let found = parse(&text).unwrap_err().to_string();
-    assert!(found.contains("model.storeys"), "{found}");
+    assert!(found.contains("model.masses-kg: is missing"), "{found}");
     let demo = include_str!("../../../../../docs/examples/demo.toml");
     let judge = &FILE[FILE.find("[judge]").unwrap()..];
     let structure = parse(&format!("{demo}\n{judge}")).unwrap();
