@@ -21,7 +21,7 @@ const BAD_INPUT: i32 = 2;
 const FAILED: i32 = 1;
 
 /// All subcommands.
-const SUBCOMMANDS: [&str; 19] = [
+const SUBCOMMANDS: [&str; 20] = [
     "demo",
     "run",
     "ingest",
@@ -36,6 +36,7 @@ const SUBCOMMANDS: [&str; 19] = [
     "estimate",
     "baseline",
     "check",
+    "judge",
     "info",
     "convert",
     "validate",

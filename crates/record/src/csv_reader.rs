@@ -32,6 +32,8 @@ pub struct CsvReader {
     csv: csv::Reader<Box<dyn Read + Send>>,
     limit: RowLimit,
     record: ByteRecord,
+    /// Line of the last row, or of the header before the first row.
+    line: u64,
     layout: TableLayout,
     /// Whether `record` still contains the first row, because the table has no header.
     has_row: bool,
@@ -135,6 +137,7 @@ impl CsvReader {
             csv,
             limit,
             record,
+            line,
             has_row: !layout.has_header,
             layout,
             fields_per_row: header.len(),
@@ -149,6 +152,11 @@ impl CsvReader {
             values: vec![f64::NAN; columns.len()],
             columns,
         })
+    }
+
+    /// Returns the line of the last row, from 1. Before the first row, it is the line of the header.
+    pub fn line(&self) -> u64 {
+        self.line
     }
 
     /// Reads the next non-blank record, and returns the number of its last line. Returns `None` at
@@ -239,6 +247,7 @@ impl RecordReader for CsvReader {
         let Some(line) = self.read_record()? else {
             return Ok(None);
         };
+        self.line = line;
         if self.record.len() != self.fields_per_row {
             return Err(RecordError::RaggedRow {
                 path: self.path.clone(),

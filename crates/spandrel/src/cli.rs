@@ -123,6 +123,13 @@ pub enum Command {
     /// Check a structure file: natural frequencies, damping, and what its sensors can identify.
     #[command(after_help = "Example: spandrel check tower.toml")]
     Check(CheckArguments),
+    /// Judge a series of natural frequencies or stiffnesses for lasting change, offline.
+    #[command(
+        after_help = "Examples: spandrel judge footbridge.toml --series footbridge.csv\n          \
+                      spandrel judge footbridge.toml --series footbridge.csv --report\n          \
+                      spandrel judge footbridge.toml --series footbridge.csv --json"
+    )]
+    Judge(JudgeArguments),
     /// Describe a recording: channels, rates, gaps, statistics and spectral peaks.
     #[command(after_help = "Examples: spandrel info bridge.mseed\n          \
                       spandrel info tower.dat --rate 100 --json")]
@@ -632,6 +639,23 @@ impl ReadingArguments {
             sampling_rate_hz: self.rate,
         }
     }
+}
+
+#[derive(Debug, Args)]
+pub struct JudgeArguments {
+    /// Structure file with a table [judge]; the model may be missing.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// CSV file with a time, the quantities and the conditions; may be repeated in the order of
+    /// time.
+    #[arg(long, value_name = "FILE", required = true)]
+    pub series: Vec<PathBuf>,
+    /// Print what each reference promises, what it achieves, and what it misses.
+    #[arg(long)]
+    pub report: bool,
+    /// Print one JSON object per line: every judgement of every day.
+    #[arg(long)]
+    pub json: bool,
 }
 
 #[derive(Debug, Args)]

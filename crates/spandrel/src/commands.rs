@@ -9,6 +9,7 @@ mod demo;
 mod estimate;
 mod feed;
 mod info;
+mod judge;
 mod maintenance;
 mod modes;
 mod notify;
@@ -69,6 +70,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Baseline(arguments) => baseline::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Judge(arguments) => judge::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Modes(arguments) => modes::run(&arguments),

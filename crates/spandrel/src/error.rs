@@ -8,6 +8,7 @@ use spandrel_feed::FeedError;
 use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
 use spandrel_ingest::IngestError;
+use spandrel_judge::JudgeError;
 use spandrel_modal::ModalError;
 use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
@@ -32,6 +33,31 @@ pub enum AppError {
     /// A recording is not valid.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The settings of a judgement are not valid.
+    #[error(transparent)]
+    Judge(#[from] JudgeError),
+    /// A row of a series cannot be judged.
+    #[error("{}:{line}: cannot be judged", path.display())]
+    Epoch {
+        /// Path of the series.
+        path: PathBuf,
+        /// Line of the row, from 1.
+        line: u64,
+        /// Cause of the error.
+        source: JudgeError,
+    },
+    /// A value of a series is not possible.
+    #[error("{}:{line}: column `{column}`: {what}", path.display())]
+    SeriesValue {
+        /// Path of the series.
+        path: PathBuf,
+        /// Line of the row, from 1.
+        line: u64,
+        /// The column.
+        column: String,
+        /// The value found and the allowed values.
+        what: String,
+    },
     /// The configuration file is missing.
     #[error("{}: no such configuration file", path.display())]
     NoConfiguration {
@@ -417,6 +443,9 @@ impl AppError {
             Self::Validate(error) => error.is_bad_input(),
             Self::Structure(_)
             | Self::Record(_)
+            | Self::Judge(_)
+            | Self::Epoch { .. }
+            | Self::SeriesValue { .. }
             | Self::NoConfiguration { .. }
             | Self::Configuration { .. }
             | Self::NoStructure

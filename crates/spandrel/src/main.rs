@@ -8,6 +8,7 @@ mod cli;
 mod commands;
 mod distributed;
 mod error;
+mod judge_report;
 mod logging;
 mod modes;
 mod offline;

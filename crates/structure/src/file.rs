@@ -12,6 +12,7 @@ mod excitation;
 mod filter;
 mod force_field;
 mod fusion;
+mod judge;
 mod matrices;
 mod mesh;
 mod model;
@@ -26,6 +27,7 @@ mod tower;
 use crate::diagnostics::{Diagnostics, counted, one_of};
 use crate::error::StructureError;
 use crate::excitation_dependence::ExcitationErrors;
+use crate::judge_plan::JudgedStructure;
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::section::{Allowed, Section, short};
 use crate::structure::Structure;
@@ -102,6 +104,46 @@ impl<'t> StructureFile<'t> {
                 diagnostics: diagnostics.into_sorted(),
             }),
         }
+    }
+
+    /// Checks the file as far as it is judged: completely if it has a model.
+    pub(crate) fn resolve_judged(&self, path: &Path) -> Result<JudgedStructure, StructureError> {
+        let diagnostics = Diagnostics::new(path, self.text);
+        let judged = self.read_judged(&diagnostics);
+        let clean = diagnostics.is_empty();
+        match judged {
+            Some(judged) if clean => Ok(judged),
+            _ => Err(StructureError::Invalid {
+                diagnostics: diagnostics.into_sorted(),
+            }),
+        }
+    }
+
+    fn read_judged(&self, diagnostics: &Diagnostics<'_>) -> Option<JudgedStructure> {
+        let mut file = Section::new(self.document.get_ref(), "", 0..0, diagnostics);
+        if file.contains("model") {
+            let structure = self.read(diagnostics);
+            let table = file.required_table("judge");
+            let structure = structure.filter(|_| table.is_some())?;
+            return Some(JudgedStructure {
+                name: structure.name,
+                plan: structure.judge?,
+            });
+        }
+        let head = file.required_table("structure").and_then(|mut section| {
+            let name = section.required_name("name").map(Spanned::into_inner);
+            section.text("description");
+            section.text("place");
+            section.finish();
+            name
+        });
+        let table = file.required_table("judge");
+        let plan = judge::read_judge(table);
+        file.finish();
+        Some(JudgedStructure {
+            name: head?,
+            plan: plan?,
+        })
     }
 
     fn read(&self, diagnostics: &Diagnostics<'_>) -> Option<Structure> {
@@ -212,6 +254,7 @@ impl<'t> StructureFile<'t> {
             learn_s: system.map_or(0.0, |system| alert::learning_s(plan.half_life_s, system)),
         };
         let alert_rules = alert::read_alerts(&mut file, &context);
+        let judge = judge::read_judge(file.table("judge"));
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
         let levels = (!nodes.incomplete && declared_excitations == excitations.len())
@@ -251,6 +294,7 @@ impl<'t> StructureFile<'t> {
             band_limit,
             ingest: ingest?,
             alert_rules,
+            judge,
             record: record?,
             simulation,
             conditions,

@@ -30,6 +30,7 @@
 //! - [`EstimatedResponse`]: requested displacements and velocities that no sensor measures
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
+//! - [`JudgedStructure`], [`JudgePlan`]: what is judged, also without a model
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
 //! - [`text_encoding`]: decodes the text of a file, and names an encoding other than UTF-8
 //!
@@ -52,6 +53,7 @@ mod excitation;
 mod filter_plan;
 mod fusion_plan;
 mod hysteresis;
+mod judge_plan;
 mod linear_system;
 mod node;
 mod noise_level;
@@ -106,6 +108,7 @@ pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;
 pub use excitation::Excitation;
 pub use fusion_plan::{FusionPlan, PeriodNumbers, SentModes};
+pub use judge_plan::{JudgePlan, JudgedStructure};
 pub use model::StructureModel;
 pub use node::{Channel, Node, Quantity};
 pub use noise_level::{NoiseLevel, NoiseSource};

@@ -159,6 +159,12 @@ impl<'t> Section<'t> {
         self.table.contains_key(key)
     }
 
+    /// Returns `true` if the value of a key is a list.
+    pub(crate) fn is_list(&self, key: &str) -> bool {
+        let value = self.table.get(key);
+        value.is_some_and(|value| value.get_ref().as_array().is_some())
+    }
+
     /// Returns the position of the value of a key, or of the table if the key is missing.
     pub(crate) fn span_of(&self, key: &str) -> Range<usize> {
         self.table

@@ -10,6 +10,7 @@ use crate::excitation_dependence::ExcitationErrors;
 use crate::file::StructureFile;
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::fusion_plan::FusionPlan;
+use crate::judge_plan::JudgePlan;
 use crate::linear_form::LinearForm;
 use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
@@ -59,6 +60,7 @@ pub struct Structure {
     pub(crate) band_limit: Option<BandLimit>,
     pub(crate) ingest: IngestSettings,
     pub(crate) alert_rules: Vec<AlertRule>,
+    pub(crate) judge: Option<JudgePlan>,
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
     pub(crate) conditions: Vec<Condition>,
@@ -75,36 +77,7 @@ impl Structure {
     /// # Errors
     /// Returns an error if the file cannot be read, or an error with all its mistakes.
     pub fn read(path: &Path) -> Result<Self, StructureError> {
-        let unreadable = |source| StructureError::Unreadable {
-            path: path.to_owned(),
-            source,
-        };
-        // Opening a pipe waits for its writer, and a device has no end.
-        if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
-            return Err(StructureError::NotAFile {
-                path: path.to_owned(),
-            });
-        }
-        let mut bytes = Vec::new();
-        File::open(path)
-            .map_err(unreadable)?
-            .take(MAX_BYTES + 1)
-            .read_to_end(&mut bytes)
-            .map_err(unreadable)?;
-        if bytes.len() as u64 > MAX_BYTES {
-            return Err(StructureError::TooLarge {
-                path: path.to_owned(),
-                most: MAX_BYTES,
-            });
-        }
-        let text = decode(bytes).map_err(|wrong| {
-            let WrongEncoding { line, found, .. } = wrong;
-            let allowed = WrongEncoding::ALLOWED;
-            StructureError::Invalid {
-                diagnostics: vec![Diagnostic::new(path, line, "encoding", found, allowed)],
-            }
-        })?;
-        Self::parse(&text, path)
+        Self::parse(&read_text(path)?, path)
     }
 
     /// Parses the text of a structure file.
@@ -426,6 +399,40 @@ impl Structure {
     pub(crate) fn nominal_modes(&self) -> Option<Modes> {
         Modes::of(&self.system, &vec![1.0; self.system.substructures.len()])
     }
+}
+
+/// Reads the text of a structure file.
+pub(crate) fn read_text(path: &Path) -> Result<String, StructureError> {
+    let unreadable = |source| StructureError::Unreadable {
+        path: path.to_owned(),
+        source,
+    };
+    // Opening a pipe waits for its writer, and a device has no end.
+    if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
+        return Err(StructureError::NotAFile {
+            path: path.to_owned(),
+        });
+    }
+    let mut bytes = Vec::new();
+    File::open(path)
+        .map_err(unreadable)?
+        .take(MAX_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(unreadable)?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(StructureError::TooLarge {
+            path: path.to_owned(),
+            most: MAX_BYTES,
+        });
+    }
+    let text = decode(bytes).map_err(|wrong| {
+        let WrongEncoding { line, found, .. } = wrong;
+        let allowed = WrongEncoding::ALLOWED;
+        StructureError::Invalid {
+            diagnostics: vec![Diagnostic::new(path, line, "encoding", found, allowed)],
+        }
+    })?;
+    Ok(text)
 }
 
 #[cfg(test)]

@@ -1,0 +1,190 @@
+//! The threshold that holds the budget, and what it detects.
+//!
+//! The e-detector alone guarantees the budget if the whitened residuals are independent. The
+//! calibration checks this with the residuals of the commissioning: it draws blocks of seven days,
+//! with replacement, and joins them to years. Source: Künsch (1989), Annals of Statistics 17,
+//! 1217–1241, for the block bootstrap.
+
+use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
+use crate::detector::{SHORTEST_STEP_DAYS, SIZES};
+use crate::whitening::Step;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Gamma};
+
+/// Number of simulated years.
+const YEARS: usize = 1000;
+/// Number of simulated years with a loss, for each size.
+const LOSS_YEARS: usize = 200;
+const DAYS: usize = 365;
+/// Day of a simulated year on which the loss begins.
+const ONSET: usize = 60;
+/// Length of a block (days): longer than the weather that φ does not explain.
+const BLOCK: usize = 7;
+/// Probability that the budget holds.
+const CREDIBILITY: f64 = 0.9;
+/// Losses of stiffness whose delay is reported.
+pub(crate) const LOSSES: [f64; 6] = [0.01, 0.02, 0.03, 0.05, 0.10, 0.20];
+
+/// What the detector of a quantity achieves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Performance {
+    /// False alarms per year that this quantity may raise.
+    pub promised_per_year: f64,
+    /// False alarms per year in 1000 years that are drawn from the commissioning.
+    pub achieved_per_year: f64,
+    /// Delay of losses of several sizes.
+    pub delays: Vec<Delay>,
+}
+
+/// Delay of a loss.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Delay {
+    /// Loss of stiffness, as a share.
+    pub loss: f64,
+    /// Median of the days from the loss to the alarm, or `None` if fewer than half of the losses
+    /// are found within 305 days.
+    pub median_days: Option<u32>,
+    /// Share of the losses that are found within 30 days.
+    pub found_in_a_month: f64,
+}
+
+/// A detector whose whitening does not change.
+pub(crate) struct Calibration<'r> {
+    pub(crate) residuals: &'r [f64],
+    pub(crate) cumulant: &'r Cumulant,
+    pub(crate) phi: f64,
+    /// σ, in ln(value).
+    pub(crate) sigma: f64,
+    /// Change of ln(value) of the loss that matters, positive.
+    pub(crate) unit: f64,
+    /// Seed of the blocks.
+    pub(crate) seed: u64,
+}
+
+impl Calibration<'_> {
+    /// Returns ln of the threshold: at least the guaranteed one, and raised until the simulated
+    /// years hold the budget with 90 % credibility. Also returns what the threshold achieves.
+    ///
+    /// `per_year` is the budget of the quantity, `per_stiffness` the change of ln(value) per change
+    /// of ln(stiffness).
+    pub(crate) fn run(&self, per_year: f64, per_stiffness: f64) -> (f64, Performance) {
+        let guaranteed = (365.25 / per_year).ln();
+        let mut years = Years::new(self, self.seed);
+        let mut largest: Vec<f64> = (0..YEARS).map(|_| years.sound().0).collect();
+        largest.sort_by(f64::total_cmp);
+        let allowed = allowed_alarms(per_year * YEARS as f64);
+        let empirical = largest[YEARS - 1 - allowed.min(YEARS - 1)];
+        let threshold = guaranteed.max(empirical);
+        let alarms = largest.iter().filter(|value| **value > threshold).count();
+        let delays = LOSSES.map(|loss| {
+            let shift = -per_stiffness * (1.0 - loss).ln();
+            let mut years = Years::new(self, self.seed ^ 1);
+            let mut found: Vec<Option<u32>> = (0..LOSS_YEARS)
+                .map(|_| years.with_loss(shift, threshold))
+                .collect();
+            found.sort_by_key(|delay| delay.unwrap_or(u32::MAX));
+            let soon = found.iter().flatten().filter(|delay| **delay <= 30).count();
+            Delay {
+                loss,
+                median_days: found[LOSS_YEARS / 2],
+                found_in_a_month: soon as f64 / LOSS_YEARS as f64,
+            }
+        });
+        let performance = Performance {
+            promised_per_year: per_year,
+            achieved_per_year: alarms as f64 / YEARS as f64,
+            delays: delays.to_vec(),
+        };
+        (threshold, performance)
+    }
+}
+
+/// Returns the largest number of alarms that still supports an expected number of `expected` with
+/// 90 % credibility, for a Poisson number and the prior 1/√rate.
+fn allowed_alarms(expected: f64) -> usize {
+    let supports = |alarms: usize| {
+        Gamma::new(alarms as f64 + 0.5, 1.0)
+            .is_ok_and(|posterior| posterior.cdf(expected) >= CREDIBILITY)
+    };
+    let mut alarms = 0;
+    while supports(alarms + 1) {
+        alarms += 1;
+    }
+    alarms
+}
+
+/// Simulated years of one detector.
+struct Years<'c> {
+    calibration: &'c Calibration<'c>,
+    random: ChaCha8Rng,
+    onset: Sizes,
+    later: Sizes,
+    step: Step,
+}
+
+/// g and κ(g) of each size.
+type Sizes = [(f64, f64); SIZES.len()];
+
+impl<'c> Years<'c> {
+    fn new(calibration: &'c Calibration<'c>, seed: u64) -> Self {
+        let step = Step::over(calibration.phi, 1);
+        let sizes = |unit: f64| {
+            SIZES.map(|size| {
+                let g = (unit * size * calibration.unit / calibration.sigma).min(LARGEST_SHIFT);
+                (g, calibration.cumulant.at(g))
+            })
+        };
+        Self {
+            calibration,
+            random: ChaCha8Rng::seed_from_u64(seed),
+            onset: sizes(step.onset()),
+            later: sizes(step.later()),
+            step,
+        }
+    }
+
+    /// Returns the largest ln R of a sound year.
+    fn sound(&mut self) -> (f64, Option<u32>) {
+        self.year(0.0, f64::INFINITY)
+    }
+
+    /// Returns the days from a loss of `shift` (in ln(value)) to R above the threshold.
+    fn with_loss(&mut self, shift: f64, threshold: f64) -> Option<u32> {
+        self.year(shift, threshold).1
+    }
+
+    fn year(&mut self, shift: f64, threshold: f64) -> (f64, Option<u32>) {
+        let (mut evidence, mut largest) = ([0.0_f64; SIZES.len()], f64::NEG_INFINITY);
+        let residuals = self.calibration.residuals;
+        let mut place = 0;
+        for day in 0..DAYS {
+            if day % BLOCK == 0 {
+                place = (self.random.next_u64() % residuals.len().max(1) as u64) as usize;
+            }
+            let drawn = residuals.get((place + day % BLOCK) % residuals.len().max(1));
+            let remainder = match day.cmp(&ONSET) {
+                std::cmp::Ordering::Less => 0.0,
+                std::cmp::Ordering::Equal => self.step.onset(),
+                std::cmp::Ordering::Greater => self.step.later(),
+            };
+            let shifted =
+                drawn.copied().unwrap_or(0.0) - remainder * shift / self.calibration.sigma;
+            let z = shifted.clamp(-CLIP, CLIP);
+            let mut total = 0.0;
+            for ((sum, onset), later) in evidence.iter_mut().zip(self.onset).zip(self.later) {
+                let first = (-onset.0 * z - onset.1).exp() / SIZES.len() as f64;
+                *sum = (*sum * (-later.0 * z - later.1).exp() + first).min(f64::MAX / 1e10);
+                total += *sum;
+            }
+            let ln_total = f64::ln(total);
+            largest = largest.max(ln_total);
+            if shift > 0.0 && day >= ONSET && ln_total > threshold {
+                let delay = (day - ONSET + 1) as u32;
+                return (largest, Some(delay.max(SHORTEST_STEP_DAYS)));
+            }
+        }
+        (largest, None)
+    }
+}

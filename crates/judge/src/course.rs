@@ -1,0 +1,340 @@
+//! The course of one quantity: commissioning, then one decision per day.
+
+use crate::cusum;
+use crate::day::{Day, DaySums};
+use crate::detector::{Detector, Evidence, StepEstimate};
+use crate::judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
+use crate::reference::{Missing, Reference, interval_quantile};
+use crate::regression::{Posterior, weight};
+use crate::settings::{Quantity, Settings};
+use crate::whitening::{Row, Step};
+use serde::{Deserialize, Serialize};
+
+/// Longest gap (days) over which days are correlated. Beyond it, φ^Δt has no support.
+const LONGEST_GAP_DAYS: i64 = 30;
+/// Days between attempts to learn the reference after a commissioning that was not ready.
+const RETRY_DAYS: i64 = 7;
+/// Guarded learning clips residuals at these numbers of σ: a loss is learnt slowly.
+const LEARNT_LOSS: f64 = -1.0;
+const LEARNT_GAIN: f64 = 3.0;
+/// The drift of the learnt reference is raised at a probability of 0.999: this quantile of the
+/// normal distribution.
+const LEARNED_AWAY_QUANTILE: f64 = 3.090;
+/// Quantile of a 95 % interval.
+const INTERVAL_QUANTILE: f64 = 1.960;
+
+/// Course of one quantity.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Course {
+    pub(crate) sums: DaySums,
+    phase: Phase,
+    finding: Option<Finding>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+enum Phase {
+    Learning(Commissioning),
+    Judging(Box<Judging>),
+}
+
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+struct Commissioning {
+    first_day: Option<i64>,
+    days: Vec<Day>,
+    /// What the last attempt missed, and its day.
+    missing: Option<(Missing, i64)>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Judging {
+    reference: Reference,
+    adaptive: Posterior,
+    detector: Detector,
+    cusum: f64,
+    cusum_threshold: f64,
+    /// Last day within experience.
+    previous: Day,
+}
+
+/// What all courses of a structure share.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Frame<'s> {
+    pub(crate) settings: &'s Settings,
+    pub(crate) quantity: &'s Quantity,
+    /// Index of the quantity, from which the seed of its calibration follows.
+    pub(crate) index: usize,
+    /// Number of the day that is over.
+    pub(crate) day: i64,
+    /// Why the day has no statement, if it has none for a condition.
+    pub(crate) absence: Option<&'s Absence>,
+}
+
+impl Course {
+    pub(crate) fn new() -> Self {
+        Self {
+            sums: DaySums::default(),
+            phase: Phase::Learning(Commissioning::default()),
+            finding: None,
+        }
+    }
+
+    /// Returns the reference, or what is missing.
+    pub(crate) fn reference(&self) -> Result<&Reference, Option<&Missing>> {
+        match &self.phase {
+            Phase::Judging(judging) => Ok(&judging.reference),
+            Phase::Learning(learning) => Err(learning.missing.as_ref().map(|(what, _)| what)),
+        }
+    }
+
+    pub(crate) fn finding(&self) -> Option<&Finding> {
+        self.finding.as_ref()
+    }
+
+    /// Ends a day and returns its judgement.
+    pub(crate) fn end_day(&mut self, frame: Frame<'_>) -> Judgement {
+        let day = self.sums.take(frame.day);
+        let mut judgement = Judgement {
+            day: frame.day,
+            quantity: frame.quantity.name.clone(),
+            state: State::Judged,
+            expectation: None,
+            finding: None,
+            raised: false,
+        };
+        match &mut self.phase {
+            Phase::Learning(learning) => match learning.end_day(day, frame) {
+                Ok(judging) => {
+                    judgement.state = State::Learning { days_left: 0 };
+                    self.phase = Phase::Judging(Box::new(judging));
+                }
+                Err(state) => judgement.state = state,
+            },
+            Phase::Judging(judging) => {
+                let alarm = self.finding.is_some_and(|finding| finding.is_alarm());
+                let (state, expectation) = match &day {
+                    Some(day) => judging.end_day(day, alarm),
+                    None => (absent(frame.absence), None),
+                };
+                judgement.state = state;
+                judgement.expectation = expectation;
+                let per_stiffness = frame.quantity.kind.per_stiffness();
+                let found = judging.finding(frame, per_stiffness, self.finding);
+                judgement.raised = match (found, self.finding) {
+                    (Some(found), Some(known)) => {
+                        found.change().found_day != known.change().found_day
+                    }
+                    (Some(_), None) => true,
+                    (None, _) => false,
+                };
+                self.finding = found;
+                judgement.finding = found;
+            }
+        }
+        judgement
+    }
+}
+
+fn absent(absence: Option<&Absence>) -> State {
+    State::NoStatement {
+        why: absence.cloned().unwrap_or(Absence::Quantity),
+    }
+}
+
+impl Commissioning {
+    /// Adds a day. Returns the judging phase once the commissioning is over and complete.
+    fn end_day(&mut self, day: Option<Day>, frame: Frame<'_>) -> Result<Judging, State> {
+        let absence = day.is_none().then(|| absent(frame.absence));
+        let first = *self.first_day.get_or_insert(frame.day);
+        self.days.extend(day);
+        let length = i64::from(frame.settings.commissioning_days);
+        let passed = frame.day - first + 1;
+        if passed < length {
+            let days_left = (length - passed) as u32;
+            return Err(absence.unwrap_or(State::Learning { days_left }));
+        }
+        if let Some((missing, tried)) = &self.missing
+            && frame.day - tried < RETRY_DAYS
+        {
+            let missing = missing.clone();
+            return Err(absence.unwrap_or(State::NotReady { missing }));
+        }
+        // The oldest days are dropped, so that the state is bounded and a commissioning can recover.
+        let oldest = frame.day - i64::from(Settings::COMMISSIONING_RANGE.1);
+        self.days.retain(|day| day.number > oldest);
+        let seed = frame.index as u64;
+        match Reference::learn(&self.days, frame.quantity, frame.settings, seed) {
+            Ok(reference) => match self.days.last() {
+                Some(last) => Ok(Judging::new(reference, last.clone(), frame)),
+                None => Err(State::Learning { days_left: 0 }),
+            },
+            Err(missing) => {
+                self.missing = Some((missing.clone(), frame.day));
+                Err(State::NotReady { missing })
+            }
+        }
+    }
+}
+
+impl Judging {
+    fn new(reference: Reference, previous: Day, frame: Frame<'_>) -> Self {
+        let settings = frame.settings;
+        let share = settings.false_alarms_per_year / settings.quantities.len() as f64;
+        let unit = -frame.quantity.kind.per_stiffness() * (1.0 - settings.loss).ln();
+        Self {
+            adaptive: reference.posterior.clone(),
+            reference,
+            detector: Detector::new(unit),
+            cusum: 0.0,
+            cusum_threshold: cusum::threshold(365.25 / share),
+            previous,
+        }
+    }
+
+    /// Judges a day and learns from it, unless an alarm holds.
+    fn end_day(&mut self, day: &Day, alarm: bool) -> (State, Option<Expectation>) {
+        let row = self.row(day);
+        let leverage = self.adaptive.leverage(&row.x);
+        let novelty = match () {
+            () if self.reference.is_new_frost(day) => Some(Novelty::Frost),
+            () if leverage > 1.0 => Some(Novelty::Extrapolation),
+            () => None,
+        };
+        let step = self.step_to(day);
+        let whitened = step.whiten(&row, &self.row(&self.previous));
+        let scale = self.adaptive.sigma * (1.0 + self.adaptive.leverage(&whitened.x)).sqrt();
+        let z = (whitened.y - self.adaptive.expected(&whitened.x)) / scale;
+        if novelty.is_none() {
+            let cumulant = &self.reference.cumulant;
+            let evidence = Evidence { z, scale, cumulant };
+            self.detector.judge(day.number, &whitened.x, step, evidence);
+            self.cusum = cusum::next(self.cusum, z.clamp(-3.0, 3.0));
+        }
+        let expectation = self.expectation(&row, leverage, z);
+        if !alarm {
+            self.learn(&whitened, step, Learnt { z, scale, novelty });
+            self.reference.remember_frost(day);
+        }
+        if novelty.is_none() {
+            self.previous = day.clone();
+        }
+        let state = match novelty {
+            Some(novelty) => State::OutsideExperience { novelty },
+            None => State::Judged,
+        };
+        (state, Some(expectation))
+    }
+
+    fn row(&self, day: &Day) -> Row {
+        let Reference {
+            columns,
+            knot,
+            centre,
+            ..
+        } = &self.reference;
+        columns.row(day, *knot, *centre)
+    }
+
+    /// Returns the step from the last day within experience. A day outside experience has no
+    /// successor, because its own deviation is not the correlated one.
+    fn step_to(&self, day: &Day) -> Step {
+        let days = day.number - self.previous.number;
+        match (1..=LONGEST_GAP_DAYS).contains(&days) {
+            true => Step::over(self.reference.phi, days),
+            false => Step::FIRST,
+        }
+    }
+
+    /// Guarded learning: a loss is learnt slowly, and a new condition without a guard.
+    fn learn(&mut self, whitened: &Row, step: Step, learnt: Learnt) {
+        let (z, weight) = match learnt.novelty {
+            Some(_) => (learnt.z, 1.0),
+            None => (learnt.z.clamp(LEARNT_LOSS, LEARNT_GAIN), weight(learnt.z)),
+        };
+        let gain = self.adaptive.learn(&whitened.x, z * learnt.scale, weight);
+        let judged = learnt.novelty.is_none();
+        self.detector.learn(&whitened.x, step, &gain, judged);
+    }
+
+    fn expectation(&self, row: &Row, leverage: f64, z: f64) -> Expectation {
+        let expected = self.adaptive.expected(&row.x) + self.reference.centre;
+        let half = interval_quantile() * self.adaptive.sigma * (1.0 + leverage).sqrt();
+        Expectation {
+            measured: (row.y + self.reference.centre).exp(),
+            expected: expected.exp(),
+            interval: [(expected - half).exp(), (expected + half).exp()],
+            residual: z,
+            ln_evidence: self.detector.ln_loss(),
+            ln_threshold: self.reference.ln_threshold,
+            cusum_share: self.cusum / self.cusum_threshold,
+        }
+    }
+
+    /// Returns the finding that holds after the day. An alarm stays, and replaces a notice.
+    fn finding(
+        &self,
+        frame: Frame<'_>,
+        per_stiffness: f64,
+        known: Option<Finding>,
+    ) -> Option<Finding> {
+        let change = |step: StepEstimate, found_day| Change {
+            found_day,
+            since_day: step.day,
+            loss: loss(step.size, per_stiffness),
+            interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
+                .map(|q| loss(step.size + q * step.std, per_stiffness)),
+        };
+        let found_day = |known: Option<Finding>| known.map_or(frame.day, |f| f.change().found_day);
+        let threshold = self.reference.ln_threshold;
+        if let Some(known @ Finding::LearnedAway(_)) = known {
+            return Some(known);
+        }
+        let lost = known.filter(|known| matches!(known, Finding::LastingLoss(_)));
+        if (lost.is_some() || self.detector.finds_loss(threshold))
+            && let Some(step) = self.detector.loss()
+        {
+            return Some(Finding::LastingLoss(change(step, found_day(lost))));
+        }
+        if let Some(step) = self.learned_away(frame, per_stiffness) {
+            return Some(Finding::LearnedAway(change(step, frame.day)));
+        }
+        if (known.is_some() || self.detector.finds_gain(threshold))
+            && let Some(step) = self.detector.gain()
+        {
+            return Some(Finding::Stiffer(change(step, found_day(known))));
+        }
+        known
+    }
+
+    /// Returns the drift of the adaptive model from the frozen one at the reference conditions, if
+    /// a loss that matters is credible.
+    fn learned_away(&self, frame: Frame<'_>, per_stiffness: f64) -> Option<StepEstimate> {
+        let Reference {
+            conditions,
+            posterior,
+            to_day,
+            ..
+        } = &self.reference;
+        let size = self.adaptive.expected(conditions) - posterior.expected(conditions);
+        let std = posterior.sigma * posterior.leverage(conditions).sqrt();
+        let matters = per_stiffness * (1.0 - frame.settings.loss).ln();
+        // P(size + std · normal < matters) ≥ 0.999
+        (size + LEARNED_AWAY_QUANTILE * std < matters).then_some(StepEstimate {
+            day: *to_day,
+            size,
+            std,
+        })
+    }
+}
+
+/// What a day teaches.
+#[derive(Debug, Clone, Copy)]
+struct Learnt {
+    z: f64,
+    scale: f64,
+    novelty: Option<Novelty>,
+}
+
+/// Returns the loss of stiffness (share) of a change of ln(value).
+fn loss(change: f64, per_stiffness: f64) -> f64 {
+    1.0 - (change / per_stiffness).exp()
+}

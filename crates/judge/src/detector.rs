@@ -1,0 +1,225 @@
+//! Shiryaev–Roberts e-detector of a lasting step.
+//!
+//! A candidate is a day on which a step may have begun. For each candidate and each size δ of the
+//! step, the whitened residual z of day t has the expected value g = h(t) δ/scale. The evidence of
+//! the candidate is Π exp(g z − κ(g)). The detector is the sum over candidates and the mean over
+//! sizes,
+//!
+//! R(t) = Σj mean_δ Πi exp(gi z(i) − κ(gi)).
+//!
+//! |g| is limited, because a clipped residual says nothing about larger shifts. While the structure
+//! is sound, R(t) − t is a supermartingale. The average run length until R ≥ A is then at least A
+//! days. Source: Shin, Ramdas & Rinaldo (2024), on e-detectors of Shiryaev–Roberts type.
+//!
+//! The regression keeps learning and absorbs part of a step. h(t) is what remains of a unit step in
+//! the residual: h(t) = 1(t) − x(t)ᵀ c(t), where c(t) is the response of the coefficients, with
+//! c ← c + K h. Source: Willsky & Jones (1976), IEEE Transactions on Automatic Control 21, 108–112.
+
+use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
+use crate::whitening::Step;
+use nalgebra::DVector;
+use serde::{Deserialize, Serialize};
+
+/// Sizes of the step as multiples of the loss that matters.
+pub(crate) const SIZES: [f64; 3] = [1.0, 2.0, 4.0];
+/// Largest number of candidates. Dropping the weakest ones only lowers R.
+const MOST_CANDIDATES: usize = 120;
+/// Smallest number of judged days of a candidate that counts. A single wrong day must not decide.
+pub(crate) const SHORTEST_STEP_DAYS: u32 = 3;
+
+/// A day on which a step may have begun.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Candidate {
+    day: i64,
+    judged_days: u32,
+    /// c: response of the coefficients to a unit step.
+    response: DVector<f64>,
+    /// ln of the evidence, for a loss of each size and a gain of each size.
+    loss: [f64; SIZES.len()],
+    gain: [f64; SIZES.len()],
+    /// Σ h²/scale² and Σ h z/scale: information on the size of the step.
+    information: f64,
+    moment: f64,
+}
+
+/// What one judged day contributes.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Evidence<'d> {
+    /// Whitened residual in units of `scale`.
+    pub(crate) z: f64,
+    /// Standard deviation of the whitened residual, parameter uncertainty included.
+    pub(crate) scale: f64,
+    /// κ of the quantity.
+    pub(crate) cumulant: &'d Cumulant,
+}
+
+/// Size of the most credible step.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct StepEstimate {
+    pub(crate) day: i64,
+    /// Change of ln(value), and its standard deviation.
+    pub(crate) size: f64,
+    pub(crate) std: f64,
+}
+
+/// Detector of a lasting loss and of a lasting gain.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Detector {
+    /// Change of ln(value) of the loss that matters, positive.
+    unit: f64,
+    candidates: Vec<Candidate>,
+}
+
+impl Detector {
+    pub(crate) fn new(unit: f64) -> Self {
+        Self {
+            unit,
+            candidates: Vec::new(),
+        }
+    }
+
+    /// Adds the day as a candidate, and the day's evidence to every candidate.
+    ///
+    /// `x` is the whitened row of regressors and `step` the whitening of the day.
+    pub(crate) fn judge(&mut self, day: i64, x: &DVector<f64>, step: Step, data: Evidence<'_>) {
+        let (unit, z) = (self.unit, data.z.clamp(-CLIP, CLIP));
+        let prior = -(SIZES.len() as f64).ln();
+        self.candidates.push(Candidate {
+            day,
+            judged_days: 0,
+            response: DVector::zeros(x.len()),
+            loss: [prior; SIZES.len()],
+            gain: [prior; SIZES.len()],
+            information: 0.0,
+            moment: 0.0,
+        });
+        for candidate in &mut self.candidates {
+            let h = candidate.remainder(x, step);
+            for (index, size) in SIZES.iter().enumerate() {
+                let g = (h * size * unit / data.scale).clamp(-LARGEST_SHIFT, LARGEST_SHIFT);
+                let kappa = data.cumulant.at(g);
+                candidate.loss[index] += -g * z - kappa;
+                candidate.gain[index] += g * z - kappa;
+            }
+            candidate.information += (h / data.scale).powi(2);
+            candidate.moment += h * data.z / data.scale;
+            candidate.judged_days += 1;
+        }
+        if self.candidates.len() > MOST_CANDIDATES {
+            self.drop_weakest();
+        }
+    }
+
+    /// Updates the response of every candidate after the regression has learnt a row with `gain`.
+    ///
+    /// `judged` is `true` if the day has been judged, so that the newest candidate starts with it.
+    pub(crate) fn learn(
+        &mut self,
+        x: &DVector<f64>,
+        step: Step,
+        gain: &DVector<f64>,
+        judged: bool,
+    ) {
+        for candidate in &mut self.candidates {
+            let first = judged && candidate.judged_days == 1;
+            let unit = if first { step.onset() } else { step.later() };
+            let h = unit - x.dot(&candidate.response);
+            candidate.response.axpy(h, gain, 1.0);
+        }
+    }
+
+    /// Returns ln R of a loss.
+    pub(crate) fn ln_loss(&self) -> f64 {
+        self.total(|candidate| &candidate.loss)
+    }
+
+    /// Returns ln R of a gain.
+    pub(crate) fn ln_gain(&self) -> f64 {
+        self.total(|candidate| &candidate.gain)
+    }
+
+    /// Returns `true` if a loss that matters has begun: R has reached the threshold, and the step is
+    /// nearer to the loss that matters than to none.
+    ///
+    /// The second condition keeps a precise quantity from raising a change that does not matter.
+    pub(crate) fn finds_loss(&self, ln_threshold: f64) -> bool {
+        let matters = |step: StepEstimate| step.size <= -0.5 * self.unit;
+        self.ln_loss() >= ln_threshold && self.loss().is_some_and(matters)
+    }
+
+    /// Returns `true` if a gain of the same size has begun.
+    pub(crate) fn finds_gain(&self, ln_threshold: f64) -> bool {
+        let matters = |step: StepEstimate| step.size >= 0.5 * self.unit;
+        self.ln_gain() >= ln_threshold && self.gain().is_some_and(matters)
+    }
+
+    /// Returns the most likely step downwards.
+    pub(crate) fn loss(&self) -> Option<StepEstimate> {
+        self.most_likely(-1.0)
+    }
+
+    /// Returns the most likely step upwards.
+    pub(crate) fn gain(&self) -> Option<StepEstimate> {
+        self.most_likely(1.0)
+    }
+
+    fn counting(&self) -> impl Iterator<Item = &Candidate> {
+        let counts = |candidate: &&Candidate| candidate.judged_days >= SHORTEST_STEP_DAYS;
+        self.candidates.iter().filter(counts)
+    }
+
+    fn total(&self, of: impl Fn(&Candidate) -> &[f64; SIZES.len()]) -> f64 {
+        let terms = || {
+            self.counting()
+                .flat_map(|candidate| of(candidate).iter().copied())
+        };
+        let largest = terms().fold(f64::NEG_INFINITY, f64::max);
+        match largest.is_finite() {
+            true => largest + terms().map(|term| (term - largest).exp()).sum::<f64>().ln(),
+            false => f64::NEG_INFINITY,
+        }
+    }
+
+    /// Returns the step of the candidate with the largest likelihood ratio, moment²/information,
+    /// among the steps of one sign.
+    ///
+    /// The evidence would not do: its clipped residuals hardly distinguish neighbouring candidates.
+    fn most_likely(&self, sign: f64) -> Option<StepEstimate> {
+        let has_sign =
+            |candidate: &&Candidate| candidate.information > 0.0 && sign * candidate.moment > 0.0;
+        let ratio = |candidate: &Candidate| candidate.moment.powi(2) / candidate.information;
+        let candidates = self.counting().filter(has_sign);
+        let best = candidates.max_by(|a, b| ratio(a).total_cmp(&ratio(b)))?;
+        Some(StepEstimate {
+            day: best.day,
+            size: best.moment / best.information,
+            std: best.information.sqrt().recip(),
+        })
+    }
+
+    fn drop_weakest(&mut self) {
+        let old = self.candidates.len() - SHORTEST_STEP_DAYS as usize;
+        let strength = |c: &Candidate| largest(&c.loss).max(largest(&c.gain));
+        let candidates = self.candidates[..old].iter().enumerate();
+        let weakest = candidates.min_by(|(_, a), (_, b)| strength(a).total_cmp(&strength(b)));
+        if let Some((index, _)) = weakest {
+            self.candidates.remove(index);
+        }
+    }
+}
+
+impl Candidate {
+    /// Returns h: what remains of a unit step in the whitened residual.
+    fn remainder(&self, x: &DVector<f64>, step: Step) -> f64 {
+        let unit = if self.judged_days == 0 {
+            step.onset()
+        } else {
+            step.later()
+        };
+        unit - x.dot(&self.response)
+    }
+}
+
+fn largest(values: &[f64; SIZES.len()]) -> f64 {
+    values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+}

@@ -1,0 +1,167 @@
+//! The state machine: epochs in, one judgement per quantity and day out.
+
+use crate::condition_watch::ConditionWatch;
+use crate::course::{Course, Frame};
+use crate::day::DAY_S;
+use crate::epoch::Epoch;
+use crate::error::JudgeError;
+use crate::judgement::{Absence, Judgement};
+use crate::report::QuantityReport;
+use crate::settings::Settings;
+use serde::{Deserialize, Serialize};
+
+/// Times outside these years are mistakes (s since 1970-01-01 UTC).
+const YEARS_S: (f64, f64) = (-2_208_988_800.0, 7_258_118_400.0);
+
+/// Judges the quantities of one structure.
+///
+/// It has no clock: a day ends with the first epoch of a later day, or with [`Judge::finish`]. It
+/// can be serialised at any point. The restored state gives the same judgements, bit for bit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Judge {
+    settings: Settings,
+    last_s: Option<f64>,
+    day: Option<i64>,
+    watches: Vec<ConditionWatch>,
+    absence: Option<Absence>,
+    courses: Vec<Course>,
+}
+
+impl Judge {
+    /// Creates a judge without any reference.
+    ///
+    /// # Errors
+    /// Returns an error if a setting is outside its range.
+    pub fn new(settings: Settings) -> Result<Self, JudgeError> {
+        settings.check()?;
+        Ok(Self {
+            last_s: None,
+            day: None,
+            watches: vec![ConditionWatch::default(); settings.conditions.len()],
+            absence: None,
+            courses: settings.quantities.iter().map(|_| Course::new()).collect(),
+            settings,
+        })
+    }
+
+    /// Returns the settings.
+    #[must_use]
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Takes an epoch. Adds the judgements of a day to `judgements` if the epoch begins a later one.
+    ///
+    /// # Errors
+    /// Returns an error if the epoch is not later than the previous one, or does not match the
+    /// settings. The epoch is then ignored.
+    pub fn handle(
+        &mut self,
+        epoch: &Epoch,
+        judgements: &mut Vec<Judgement>,
+    ) -> Result<(), JudgeError> {
+        self.check(epoch)?;
+        let day = (epoch.time_s / DAY_S).floor() as i64;
+        if let Some(open) = self.day.filter(|open| day > *open) {
+            self.end_day(open, judgements);
+        }
+        self.day = Some(day);
+        self.last_s = Some(epoch.time_s);
+        let Some(conditions) = self.conditions(epoch) else {
+            return Ok(());
+        };
+        for (course, value) in self.courses.iter_mut().zip(&epoch.quantities) {
+            if let Some(value) = value.filter(|value| value.is_finite() && *value > 0.0) {
+                course.sums.add(value.ln(), &conditions);
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends the open day, as a later epoch would.
+    pub fn finish(&mut self, judgements: &mut Vec<Judgement>) {
+        if let Some(open) = self.day.take() {
+            self.end_day(open, judgements);
+        }
+    }
+
+    /// Returns a report of every quantity.
+    #[must_use]
+    pub fn report(&self) -> Vec<QuantityReport> {
+        let quantities = self.settings.quantities.iter().zip(&self.courses);
+        quantities
+            .map(|(quantity, course)| QuantityReport::new(&quantity.name, course))
+            .collect()
+    }
+
+    fn check(&self, epoch: &Epoch) -> Result<(), JudgeError> {
+        let time_s = epoch.time_s;
+        let (first, last) = YEARS_S;
+        if !(first..=last).contains(&time_s) {
+            return Err(JudgeError::NoTime { time_s });
+        }
+        if let Some(previous_s) = self.last_s.filter(|previous_s| time_s <= *previous_s) {
+            return Err(JudgeError::OutOfOrder { time_s, previous_s });
+        }
+        let shapes = [
+            (
+                "quantities",
+                epoch.quantities.len(),
+                self.settings.quantities.len(),
+            ),
+            (
+                "conditions",
+                epoch.conditions.len(),
+                self.settings.conditions.len(),
+            ),
+        ];
+        match shapes
+            .into_iter()
+            .find(|(_, found, expected)| found != expected)
+        {
+            Some((what, found, expected)) => Err(JudgeError::Shape {
+                what,
+                found,
+                expected,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the conditions in the scale of the model, or `None` if one is missing or frozen.
+    fn conditions(&mut self, epoch: &Epoch) -> Option<Vec<f64>> {
+        let mut values = Vec::with_capacity(epoch.conditions.len());
+        let mut absence = None;
+        let declared = self.settings.conditions.iter().zip(&mut self.watches);
+        for ((condition, watch), value) in declared.zip(&epoch.conditions) {
+            let value = value.and_then(|value| condition.kind.convert(value).ok());
+            match value {
+                Some(value) if watch.is_frozen(epoch.time_s, value) => {
+                    absence = Some(Absence::Frozen(condition.name.clone()));
+                }
+                Some(value) => values.push(value),
+                None => absence = Some(Absence::Condition(condition.name.clone())),
+            }
+        }
+        match absence {
+            Some(absence) => {
+                self.absence = Some(absence);
+                None
+            }
+            None => Some(values),
+        }
+    }
+
+    fn end_day(&mut self, day: i64, judgements: &mut Vec<Judgement>) {
+        let absence = self.absence.take();
+        for (index, course) in self.courses.iter_mut().enumerate() {
+            judgements.push(course.end_day(Frame {
+                settings: &self.settings,
+                quantity: &self.settings.quantities[index],
+                index,
+                day,
+                absence: absence.as_ref(),
+            }));
+        }
+    }
+}

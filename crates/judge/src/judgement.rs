@@ -1,0 +1,218 @@
+//! The result of one day of one quantity: a state, a sentence, and the numbers behind them.
+
+use crate::reference::Missing;
+use serde::{Deserialize, Serialize};
+
+/// State of a judged quantity.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum State {
+    /// The commissioning is under way.
+    Learning {
+        /// Days until its end.
+        days_left: u32,
+    },
+    /// The commissioning is over and gives no reference yet.
+    NotReady {
+        /// What is missing.
+        missing: Missing,
+    },
+    /// The quantity was judged.
+    Judged,
+    /// The conditions are new: the interval says nothing, and the day is not judged.
+    OutsideExperience {
+        /// Why they are new.
+        novelty: Novelty,
+    },
+    /// The day has no value of the quantity, or not all conditions.
+    NoStatement {
+        /// Why.
+        why: Absence,
+    },
+}
+
+impl State {
+    /// Returns the name of the state, such as `outside-experience`.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Learning { .. } => "learning",
+            Self::NotReady { .. } => "not-ready",
+            Self::Judged => "judged",
+            Self::OutsideExperience { .. } => "outside-experience",
+            Self::NoStatement { .. } => "no-statement",
+        }
+    }
+}
+
+/// Why conditions are outside experience.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Novelty {
+    /// Fewer than five learnt days were as cold.
+    Frost,
+    /// The uncertainty of the expected value exceeds the scatter of a day.
+    Extrapolation,
+}
+
+/// Why a day has no statement.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Absence {
+    /// No epoch had a value of the quantity.
+    Quantity,
+    /// A condition was not measured.
+    Condition(String),
+    /// A thermometer has not changed for a day or longer.
+    Frozen(String),
+}
+
+/// A lasting change that has been found. It remains until the reference starts anew.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Finding {
+    /// The detector of a loss has crossed its threshold.
+    LastingLoss(Change),
+    /// The learnt reference has drifted from the frozen one by a credible loss.
+    LearnedAway(Change),
+    /// The detector of a gain has crossed its threshold. This is a notice.
+    Stiffer(Change),
+}
+
+impl Finding {
+    /// Returns `true` if the finding is an alarm that counts against the budget.
+    #[must_use]
+    pub fn is_alarm(&self) -> bool {
+        matches!(self, Self::LastingLoss(_) | Self::LearnedAway(_))
+    }
+
+    /// Returns the name of the finding, such as `lasting-loss`.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::LastingLoss(_) => "lasting-loss",
+            Self::LearnedAway(_) => "learned-away",
+            Self::Stiffer(_) => "stiffer",
+        }
+    }
+
+    /// Returns the change.
+    #[must_use]
+    pub fn change(&self) -> &Change {
+        match self {
+            Self::LastingLoss(change) | Self::LearnedAway(change) | Self::Stiffer(change) => change,
+        }
+    }
+}
+
+/// Size of a lasting change of the stiffness.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Change {
+    /// Day on which it was found (days since 1970-01-01 UTC).
+    pub found_day: i64,
+    /// Most credible first day.
+    pub since_day: i64,
+    /// Loss of stiffness as a share; negative for a gain.
+    pub loss: f64,
+    /// 95 % interval of the loss.
+    pub interval: [f64; 2],
+}
+
+/// Expected value of a day, and how far the measured value is from it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Expectation {
+    /// Mean value of the day, in the unit of the quantity.
+    pub measured: f64,
+    /// Expected value under the conditions, in the unit of the quantity.
+    pub expected: f64,
+    /// 95 % interval of the day.
+    pub interval: [f64; 2],
+    /// Whitened residual, in standard deviations.
+    pub residual: f64,
+    /// ln of the evidence of a loss, and the threshold.
+    pub ln_evidence: f64,
+    /// ln of the threshold.
+    pub ln_threshold: f64,
+    /// CUSUM of the cross-check divided by its threshold.
+    pub cusum_share: f64,
+}
+
+/// Judgement of one day of one quantity.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Judgement {
+    /// Days since 1970-01-01 UTC.
+    pub day: i64,
+    /// Name of the quantity.
+    pub quantity: String,
+    /// State on this day.
+    pub state: State,
+    /// Expected value, if a reference exists and the day has data.
+    pub expectation: Option<Expectation>,
+    /// Finding that holds on this day.
+    pub finding: Option<Finding>,
+    /// `true` on the day on which the finding was raised.
+    pub raised: bool,
+}
+
+impl Judgement {
+    /// Returns one sentence for a person who has never seen the state.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let name = &self.quantity;
+        if let Some(finding) = &self.finding {
+            let change = finding.change();
+            let [low, high] = change.interval.map(|share| 100.0 * share);
+            let since = days_ago(self.day - change.since_day);
+            return match finding {
+                Finding::LastingLoss(change) => format!(
+                    "{name} has lost {:.1} % of stiffness [{low:.1}, {high:.1}], most probably \
+                     {since}.",
+                    100.0 * change.loss
+                ),
+                Finding::LearnedAway(change) => format!(
+                    "The learnt reference of {name} has drifted by a loss of {:.1} % of stiffness \
+                     [{low:.1}, {high:.1}] since the commissioning.",
+                    100.0 * change.loss
+                ),
+                Finding::Stiffer(change) => format!(
+                    "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably {since}.",
+                    -100.0 * change.loss,
+                    -high,
+                    -low
+                ),
+            };
+        }
+        match &self.state {
+            State::Learning { days_left } => {
+                format!("{name} is being learnt; {days_left} days of commissioning remain.")
+            }
+            State::NotReady { missing } => format!("{name} has no reference: {missing}."),
+            State::Judged => format!("{name} shows no lasting change."),
+            State::OutsideExperience { novelty } => match novelty {
+                Novelty::Frost => format!(
+                    "{name} is not judged, because fewer than five learnt days were as cold."
+                ),
+                Novelty::Extrapolation => format!(
+                    "{name} is not judged, because its value under these conditions is unknown."
+                ),
+            },
+            State::NoStatement { why } => match why {
+                Absence::Quantity => format!("{name} has no value on this day."),
+                Absence::Condition(condition) => {
+                    format!("{name} is not judged, because {condition} was not measured.")
+                }
+                Absence::Frozen(condition) => format!(
+                    "{name} is not judged, because {condition} has not changed for a day or longer."
+                ),
+            },
+        }
+    }
+}
+
+fn days_ago(days: i64) -> String {
+    match days {
+        0 => "beginning today".to_owned(),
+        1 => "beginning the day before".to_owned(),
+        _ => format!("beginning {days} days earlier"),
+    }
+}

@@ -1,0 +1,94 @@
+//! Judges whether a structure has changed for good, under its conditions and with a budget for
+//! false alarms.
+//!
+//! The inputs are epochs: values of natural frequencies or stiffnesses, with temperatures and other
+//! conditions. The outputs are one judgement per quantity and day. During the commissioning, the
+//! crate learns how each quantity depends on the conditions. Afterwards it decides once a day
+//! whether a lasting change explains the values better than the conditions do.
+//!
+//! ```
+//! use spandrel_judge::{Condition, ConditionKind, Epoch, Judge, Quantity, QuantityKind, Season, Settings, State};
+//!
+//! let settings = Settings {
+//!     false_alarms_per_year: 0.1,
+//!     loss: 0.02,
+//!     commissioning_days: 100,
+//!     season: Season::Required,
+//!     quantities: vec![Quantity { name: "f1".to_owned(), kind: QuantityKind::Frequency }],
+//!     conditions: vec![Condition { name: "deck".to_owned(), kind: ConditionKind::Celsius }],
+//! };
+//! let mut judge = Judge::new(settings)?;
+//! let mut judgements = Vec::new();
+//! for hour in 0..24 {
+//!     let deck = 10.0 + f64::from(hour) / 10.0;
+//!     let epoch = Epoch {
+//!         time_s: 3600.0 * f64::from(hour),
+//!         quantities: vec![Some(4.0 - 0.005 * deck)],
+//!         conditions: vec![Some(deck)],
+//!     };
+//!     judge.handle(&epoch, &mut judgements)?;
+//! }
+//! judge.finish(&mut judgements);
+//! assert_eq!(judgements[0].state, State::Learning { days_left: 99 });
+//! # Ok::<(), spandrel_judge::JudgeError>(())
+//! ```
+//!
+//! Types:
+//!
+//! - [`Settings`], [`Quantity`], [`Condition`]: what is judged, under which conditions
+//! - [`Epoch`], [`Judgement`], [`State`], [`Finding`]: what goes in and comes out
+//! - [`QuantityReport`]: what a reference promises and can find
+//!
+//! Maths:
+//!
+//! - `day`, `frost`, `model`: the mean of a day and its regressors
+//! - `whitening`, `regression`: generalised least squares with priors in physical units
+//! - `cumulant`, `detector`, `cusum`: the evidence of a lasting step
+//! - `calibration`: the threshold that holds the budget
+//!
+//! Logic:
+//!
+//! - `reference`: what the commissioning has taught, or what is missing
+//! - `course`: one quantity, day by day
+//! - [`Judge`]: the state machine of a structure, without clock, log or I/O
+//!
+//! Notation: y is the mean of ln(value) over a day, and x its regressors. σ is the standard deviation
+//! of a day, and φ the correlation of two successive days. z is a whitened residual in units of its
+//! standard deviation. R is the evidence of a lasting step.
+//!
+//! For rules on single estimates, within seconds, use `spandrel-alert`.
+
+mod epoch;
+mod error;
+mod judgement;
+mod settings;
+
+mod day;
+mod frost;
+mod model;
+
+mod regression;
+mod whitening;
+
+mod calibration;
+mod cumulant;
+mod cusum;
+mod detector;
+
+mod condition_watch;
+mod course;
+mod judge;
+mod reference;
+mod report;
+
+pub use calibration::{Delay, Performance};
+pub use epoch::Epoch;
+pub use error::JudgeError;
+pub use judge::Judge;
+pub use judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
+pub use reference::Missing;
+pub use report::{QuantityReport, ReferenceReport};
+pub use settings::{
+    Condition, ConditionKind, Implausible, PLAUSIBLE_CELSIUS, Quantity, QuantityKind, Season,
+    Settings,
+};

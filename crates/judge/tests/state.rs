@@ -1,0 +1,180 @@
+//! The state of a judge: its size, its restart, and its reaction to bad input.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking"
+)]
+
+mod support;
+
+use proptest::prelude::*;
+use spandrel_judge::{Absence, Condition, ConditionKind, Epoch, Judge, JudgeError, State};
+use support::{describe, first_alarm, judge, settings};
+
+const EPOCH_S: f64 = 6.0 * 3600.0;
+
+/// A structure whose frequency follows the temperature of a deck, without noise that matters.
+fn epoch(index: u32) -> Epoch {
+    let days = f64::from(index) / 4.0;
+    let deck = 10.0 + 12.0 * (days / 58.0).sin() + 3.0 * (days * 1.7).sin();
+    let noise = 0.001 * (f64::from(index) * 12.9898).sin();
+    Epoch {
+        time_s: f64::from(index) * EPOCH_S,
+        quantities: vec![Some(4.0 * (1.0 - 0.001 * deck + noise))],
+        conditions: vec![Some(deck)],
+    }
+}
+
+fn epochs(days: u32) -> Vec<Epoch> {
+    (0..4 * days).map(epoch).collect()
+}
+
+fn restored(judge: &Judge) -> Judge {
+    postcard::from_bytes(&postcard::to_allocvec(judge).unwrap()).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(6))]
+
+    #[test]
+    fn a_restart_anywhere_gives_the_same_judgements(places in prop::collection::vec(0_usize..600, 1..4)) {
+        let mut series = epochs(150);
+        for epoch in series.iter_mut().skip(500) {
+            epoch.quantities[0] = epoch.quantities[0].map(|value| 0.97 * value);
+        }
+        let (whole, expected) = judge(settings(&["f1"], &["deck"], 95), &series);
+        let mut state = Judge::new(settings(&["f1"], &["deck"], 95)).unwrap();
+        let mut found = Vec::new();
+        for (index, epoch) in series.iter().enumerate() {
+            if places.contains(&index) {
+                state = restored(&state);
+            }
+            state.handle(epoch, &mut found).unwrap();
+        }
+        state.finish(&mut found);
+        prop_assert_eq!(
+            postcard::to_allocvec(&found).unwrap(),
+            postcard::to_allocvec(&expected).unwrap()
+        );
+        prop_assert_eq!(
+            postcard::to_allocvec(&state).unwrap(),
+            postcard::to_allocvec(&whole).unwrap()
+        );
+    }
+}
+
+#[test]
+fn the_state_of_a_quantity_stays_below_64_kilobytes() {
+    let mut state = Judge::new(settings(&["f1"], &["deck"], 400)).unwrap();
+    let mut judgements = Vec::new();
+    let mut largest = 0;
+    for epoch in epochs(560) {
+        state.handle(&epoch, &mut judgements).unwrap();
+        if epoch.time_s % (20.0 * 86_400.0) == 0.0 {
+            largest = largest.max(postcard::to_allocvec(&state).unwrap().len());
+        }
+    }
+    println!("largest state: {largest} bytes");
+    assert!(judgements.last().unwrap().state == State::Judged);
+    assert!(largest < 64 * 1024, "{largest} bytes");
+}
+
+#[test]
+fn a_loss_is_found_and_measured() {
+    let mut series = epochs(200);
+    for epoch in series
+        .iter_mut()
+        .filter(|epoch| epoch.time_s >= 130.0 * 86_400.0)
+    {
+        epoch.quantities[0] = epoch.quantities[0].map(|value| 0.95_f64.sqrt() * value);
+    }
+    let (state, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+    describe(&state, &judgements);
+    let alarm = first_alarm(&judgements).expect("an alarm");
+    assert!((130..150).contains(&alarm.day), "{}", alarm.sentence());
+    let [low, high] = judgements
+        .last()
+        .unwrap()
+        .finding
+        .unwrap()
+        .change()
+        .interval;
+    assert!(
+        low < 0.05 && 0.05 < high,
+        "95 % interval {low} to {high} of a loss of 0.05"
+    );
+}
+
+#[test]
+fn an_epoch_out_of_order_is_an_error_and_changes_nothing() {
+    let series = epochs(3);
+    let (expected, _) = judge(settings(&["f1"], &["deck"], 100), &series[..4]);
+    let mut state = Judge::new(settings(&["f1"], &["deck"], 100)).unwrap();
+    let mut judgements = Vec::new();
+    for epoch in &series[..4] {
+        state.handle(epoch, &mut judgements).unwrap();
+    }
+    for wrong in [&series[3], &series[0]] {
+        let error = state.handle(wrong, &mut judgements).unwrap_err();
+        assert!(matches!(error, JudgeError::OutOfOrder { .. }), "{error}");
+    }
+    state.finish(&mut judgements);
+    assert_eq!(state, expected);
+}
+
+#[test]
+fn a_frozen_or_missing_thermometer_gives_no_statement_and_no_alarm() {
+    for (value, expected) in [
+        (Some(4.0), Absence::Frozen("deck".to_owned())),
+        (None, Absence::Condition("deck".to_owned())),
+        // Kelvin that arrive as °C are not plausible.
+        (Some(281.0), Absence::Condition("deck".to_owned())),
+    ] {
+        let mut series = epochs(160);
+        for epoch in series
+            .iter_mut()
+            .filter(|epoch| epoch.time_s >= 120.0 * 86_400.0)
+        {
+            epoch.conditions[0] = value;
+        }
+        let (_, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+        assert!(first_alarm(&judgements).is_none(), "{value:?}");
+        let last = judgements.last().unwrap();
+        assert_eq!(
+            last.state,
+            State::NoStatement { why: expected },
+            "{value:?}"
+        );
+    }
+}
+
+#[test]
+fn the_units_of_a_temperature_give_the_same_judgements() {
+    let series = epochs(130);
+    let (_, expected) = judge(settings(&["f1"], &["deck"], 100), &series);
+    type Convert = fn(f64) -> f64;
+    let units: [(ConditionKind, Convert); 2] = [
+        (ConditionKind::Kelvin, |celsius| celsius + 273.15),
+        (ConditionKind::Fahrenheit, |celsius| 1.8 * celsius + 32.0),
+    ];
+    for (kind, convert) in units {
+        let mut settings = settings(&["f1"], &["deck"], 100);
+        settings.conditions[0] = Condition {
+            name: "deck".to_owned(),
+            kind,
+        };
+        let mut series = series.clone();
+        for epoch in &mut series {
+            epoch.conditions[0] = epoch.conditions[0].map(convert);
+        }
+        let (_, found) = judge(settings, &series);
+        for (found, expected) in found.iter().zip(&expected) {
+            assert_eq!(found.state, expected.state, "{kind:?}");
+            let difference = found.expectation.zip(expected.expectation);
+            let difference = difference.map_or(0.0, |(a, b)| (a.expected / b.expected - 1.0).abs());
+            assert!(difference < 1e-9, "{kind:?}: {difference}");
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! Series for the tests: tables from `shared/data`, and a simulated structure.
+
+#![allow(dead_code, reason = "each test file uses its part of it")]
+
+use spandrel_judge::{
+    Condition, ConditionKind, Epoch, Judge, Judgement, Quantity, QuantityKind, Season, Settings,
+    State,
+};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A table: columns of text by name.
+pub struct Table(pub BTreeMap<String, Vec<String>>);
+
+/// Reads a CSV file of `shared/data`, or skips the test.
+pub fn table_or_skip(name: &str) -> Option<Table> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data")
+        .join(name);
+    if !path.exists() {
+        skip(&path);
+        return None;
+    }
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let mut columns = vec![Vec::new(); names.len()];
+    for line in lines {
+        for (column, field) in columns.iter_mut().zip(line.split(',')) {
+            column.push(field.to_owned());
+        }
+    }
+    let names = names.into_iter().map(str::to_owned);
+    Some(Table(names.zip(columns).collect()))
+}
+
+fn skip(path: &Path) {
+    let why = format!("{} does not exist", path.display());
+    let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
+    let permitted = std::env::var_os("WITHOUT_RECORDS").is_some();
+    assert!(!required || permitted, "REQUIRE_ALL_TESTS is set: {why}");
+    println!("skipped: {why}");
+}
+
+impl Table {
+    pub fn numbers(&self, column: &str) -> Vec<f64> {
+        self.0[column]
+            .iter()
+            .map(|text| text.parse().unwrap_or(f64::NAN))
+            .collect()
+    }
+
+    /// Returns one epoch per row.
+    pub fn epochs(&self, times_s: &[f64], quantities: &[&str], conditions: &[&str]) -> Vec<Epoch> {
+        let columns = |names: &[&str]| -> Vec<Vec<f64>> {
+            names.iter().map(|name| self.numbers(name)).collect()
+        };
+        let (quantities, conditions) = (columns(quantities), columns(conditions));
+        let row = |columns: &[Vec<f64>], row: usize| {
+            let values = columns.iter().map(|column| column[row]);
+            values
+                .map(|value| value.is_finite().then_some(value))
+                .collect()
+        };
+        let epoch = |(index, time_s): (usize, &f64)| Epoch {
+            time_s: *time_s,
+            quantities: row(&quantities, index),
+            conditions: row(&conditions, index),
+        };
+        times_s.iter().enumerate().map(epoch).collect()
+    }
+}
+
+/// Settings of natural frequencies under temperatures in °C.
+pub fn settings(quantities: &[&str], conditions: &[&str], commissioning_days: u32) -> Settings {
+    Settings {
+        false_alarms_per_year: 0.1,
+        loss: Settings::LOSS,
+        commissioning_days,
+        season: Season::Required,
+        quantities: quantities
+            .iter()
+            .map(|name| Quantity {
+                name: (*name).to_owned(),
+                kind: QuantityKind::Frequency,
+            })
+            .collect(),
+        conditions: conditions
+            .iter()
+            .map(|name| Condition {
+                name: (*name).to_owned(),
+                kind: ConditionKind::Celsius,
+            })
+            .collect(),
+    }
+}
+
+/// Judges all epochs.
+pub fn judge(settings: Settings, epochs: &[Epoch]) -> (Judge, Vec<Judgement>) {
+    let mut judge = Judge::new(settings).unwrap();
+    let mut judgements = Vec::new();
+    for epoch in epochs {
+        judge.handle(epoch, &mut judgements).unwrap();
+    }
+    judge.finish(&mut judgements);
+    (judge, judgements)
+}
+
+/// Returns the first alarm.
+pub fn first_alarm(judgements: &[Judgement]) -> Option<&Judgement> {
+    judgements
+        .iter()
+        .find(|judgement| judgement.finding.is_some_and(|f| f.is_alarm()))
+}
+
+/// Returns the share of judged days within the 95 % interval.
+pub fn coverage<'j>(judgements: impl Iterator<Item = &'j Judgement>) -> f64 {
+    let (mut inside, mut all) = (0.0, 0.0);
+    for judgement in judgements.filter(|judgement| judgement.state == State::Judged) {
+        if let Some(expectation) = judgement.expectation {
+            let [low, high] = expectation.interval;
+            all += 1.0;
+            inside += f64::from(u8::from((low..=high).contains(&expectation.measured)));
+        }
+    }
+    inside / all
+}
+
+/// Prints what was judged, for a reader of a failed test.
+pub fn describe(judge: &Judge, judgements: &[Judgement]) {
+    for report in judge.report() {
+        let name = &report.quantity;
+        let of = || {
+            judgements
+                .iter()
+                .filter(|judgement| &judgement.quantity == name)
+        };
+        let count = |is: fn(&State) -> bool| of().filter(|j| is(&j.state)).count();
+        let evidence = of()
+            .filter(|j| j.finding.is_none())
+            .filter_map(|j| j.expectation);
+        println!(
+            "{name}: judged {}, outside {}, none {}, not ready {}, largest ln R {:.2}",
+            count(|state| *state == State::Judged),
+            count(|state| matches!(state, State::OutsideExperience { .. })),
+            count(|state| matches!(state, State::NoStatement { .. })),
+            count(|state| matches!(state, State::NotReady { .. })),
+            evidence
+                .map(|e| e.ln_evidence)
+                .fold(f64::NEG_INFINITY, f64::max),
+        );
+        match (&report.reference, &report.missing) {
+            (Some(r), _) => println!(
+                "  σ {:.5} φ {} T0 {:?} coverage {:.3} ln threshold {:.2} achieved {:.4} delays {:?}",
+                r.scatter,
+                r.correlation,
+                r.frost_knot,
+                r.coverage,
+                r.ln_threshold,
+                r.performance.achieved_per_year,
+                r.performance
+                    .delays
+                    .iter()
+                    .map(|d| d.median_days)
+                    .collect::<Vec<_>>()
+            ),
+            (None, missing) => println!("  missing: {missing:?}"),
+        }
+        for judgement in of().filter(|judgement| judgement.raised) {
+            let kind = judgement.finding.map_or("", |finding| finding.name());
+            println!("  day {} {kind}: {}", judgement.day, judgement.sentence());
+        }
+    }
+}

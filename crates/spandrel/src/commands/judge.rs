@@ -1,0 +1,121 @@
+//! `spandrel judge`: judges a series of natural frequencies or stiffnesses offline.
+
+use super::print;
+use crate::cli::JudgeArguments;
+use crate::error::AppError;
+use crate::judge_report::{DayLine, Summary, report_text};
+use spandrel_judge::{Epoch, Judge};
+use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
+use spandrel_structure::{JudgePlan, JudgedStructure};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Judges every day of a series and prints what changed, or one line of JSON per judgement.
+///
+/// # Errors
+/// A file is not valid, or a condition has a value that its unit does not allow.
+pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
+    let structure = JudgedStructure::read(&arguments.structure)?;
+    let mut judge = Judge::new(structure.plan.settings.clone())?;
+    let mut judgements = Vec::new();
+    let mut epochs = 0_usize;
+    for path in &arguments.series {
+        read_series(path, &structure.plan, |epoch| {
+            epochs += 1;
+            judge.handle(&epoch, &mut judgements)
+        })?;
+    }
+    judge.finish(&mut judgements);
+    if arguments.json {
+        let mut text = String::new();
+        for judgement in &judgements {
+            let _ = writeln!(text, "{}", DayLine::new(&structure.name, judgement).json());
+        }
+        if arguments.report {
+            for report in judge.report() {
+                let _ = writeln!(text, "{}", serde_json::json!({ "report": report }));
+            }
+        }
+        return print(&text);
+    }
+    let mut text = Summary::new(&structure.name, epochs, &judgements).to_string();
+    if arguments.report {
+        text += &report_text(judge.settings(), &judge.report());
+    }
+    print(&text)
+}
+
+/// Reads the rows of a CSV series as epochs.
+fn read_series(
+    path: &Path,
+    plan: &JudgePlan,
+    mut handle: impl FnMut(Epoch) -> Result<(), spandrel_judge::JudgeError>,
+) -> Result<(), AppError> {
+    let names = plan
+        .settings
+        .quantities
+        .iter()
+        .map(|quantity| &quantity.name);
+    let names = names.chain(
+        plan.settings
+            .conditions
+            .iter()
+            .map(|condition| &condition.name),
+    );
+    let columns = plan.quantity_columns.iter().chain(&plan.condition_columns);
+    let mapping = names
+        .zip(columns)
+        .map(|(name, column)| ChannelColumn::new(name).with_column(column))
+        .collect();
+    let mapping = ColumnMapping::new(mapping).with_time_column(&plan.time_column);
+    let mut reader = CsvReader::open(path, &mapping)?;
+    let quantities = plan.settings.quantities.len();
+    while let Some(row) = reader.next_row()? {
+        let value = |value: &f64| (!value.is_nan()).then_some(*value);
+        let (measured, conditions) = row.values.split_at(quantities);
+        let epoch = Epoch {
+            time_s: row.time_ns as f64 * 1e-9,
+            quantities: measured.iter().map(value).collect(),
+            conditions: conditions.iter().map(value).collect(),
+        };
+        let line = reader.line();
+        check_row(path, plan, line, &epoch)?;
+        handle(epoch).map_err(|source| AppError::Epoch {
+            path: path.to_owned(),
+            line,
+            source,
+        })?;
+    }
+    Ok(())
+}
+
+/// Rejects a value that its column cannot have. Offline, a wrong unit is a mistake in the file, and
+/// not a day without a statement.
+fn check_row(path: &Path, plan: &JudgePlan, line: u64, epoch: &Epoch) -> Result<(), AppError> {
+    let conditions = plan.settings.conditions.iter().zip(&plan.condition_columns);
+    for ((condition, column), value) in conditions.zip(&epoch.conditions) {
+        if let Some(value) = value {
+            condition
+                .kind
+                .convert(*value)
+                .map_err(|source| AppError::SeriesValue {
+                    path: path.to_owned(),
+                    line,
+                    column: column.clone(),
+                    what: source.to_string(),
+                })?;
+        }
+    }
+    let wrong =
+        |value: &&Option<f64>| value.is_some_and(|value| !(value > 0.0 && value.is_finite()));
+    let columns = plan.quantity_columns.iter().zip(&epoch.quantities);
+    match columns.into_iter().find(|(_, value)| wrong(value)) {
+        Some((column, value)) => Err(AppError::SeriesValue {
+            path: path.to_owned(),
+            line,
+            column: column.clone(),
+            what: format!("is {}, must be above 0", value.unwrap_or_default()),
+        }),
+        None => Ok(()),
+    }
+}

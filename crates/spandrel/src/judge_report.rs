@@ -1,0 +1,195 @@
+//! Text and JSON of the judgements of a series.
+
+use jiff::civil::Date;
+use serde_json::json;
+use spandrel_judge::{Delay, Judgement, QuantityReport, ReferenceReport, Settings, State};
+use std::fmt::{self, Write as _};
+
+/// A judgement with its structure and date.
+pub struct DayLine<'j> {
+    structure: &'j str,
+    judgement: &'j Judgement,
+}
+
+impl<'j> DayLine<'j> {
+    pub fn new(structure: &'j str, judgement: &'j Judgement) -> Self {
+        Self {
+            structure,
+            judgement,
+        }
+    }
+
+    /// Returns one line of JSON.
+    pub fn json(&self) -> String {
+        let Judgement {
+            day,
+            quantity,
+            state,
+            expectation,
+            finding,
+            raised,
+        } = self.judgement;
+        let finding = finding.map(|finding| {
+            let change = finding.change();
+            json!({
+                "kind": finding.name(),
+                "found": date(change.found_day).to_string(),
+                "since": date(change.since_day).to_string(),
+                "loss": change.loss,
+                "interval": change.interval,
+            })
+        });
+        json!({
+            "structure": self.structure,
+            "quantity": quantity,
+            "date": date(*day).to_string(),
+            "state": state.name(),
+            "sentence": self.judgement.sentence(),
+            "expectation": expectation,
+            "finding": finding,
+            "raised": raised,
+        })
+        .to_string()
+    }
+}
+
+/// What happened in a series, and how it ended.
+pub struct Summary<'j> {
+    structure: &'j str,
+    epochs: usize,
+    judgements: &'j [Judgement],
+}
+
+impl<'j> Summary<'j> {
+    /// `judgements` are in the order of the days.
+    pub fn new(structure: &'j str, epochs: usize, judgements: &'j [Judgement]) -> Self {
+        Self {
+            structure,
+            epochs,
+            judgements,
+        }
+    }
+
+    /// Returns the judgements of each quantity, in the order of the settings.
+    fn courses(&self) -> Vec<Vec<&'j Judgement>> {
+        let mut courses: Vec<Vec<&Judgement>> = Vec::new();
+        for judgement in self.judgements {
+            let same = |course: &&mut Vec<&Judgement>| {
+                course
+                    .first()
+                    .is_some_and(|first| first.quantity == judgement.quantity)
+            };
+            match courses.iter_mut().find(same) {
+                Some(course) => course.push(judgement),
+                None => courses.push(vec![judgement]),
+            }
+        }
+        courses
+    }
+}
+
+impl fmt::Display for Summary<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let courses = self.courses();
+        writeln!(f, "{}: {} epochs", self.structure, self.epochs)?;
+        for course in &courses {
+            let count = |is: fn(&State) -> bool| course.iter().filter(|j| is(&j.state)).count();
+            let (Some(first), Some(last)) = (course.first(), course.last()) else {
+                continue;
+            };
+            writeln!(
+                f,
+                "{}: {} to {}, {} days judged, {} outside experience, {} without statement",
+                first.quantity,
+                date(first.day),
+                date(last.day),
+                count(|state| *state == State::Judged),
+                count(|state| matches!(state, State::OutsideExperience { .. })),
+                count(|state| matches!(state, State::NoStatement { .. })),
+            )?;
+            for judgement in course.iter().filter(|judgement| judgement.raised) {
+                let kind = judgement.finding.map_or("", |finding| finding.name());
+                writeln!(
+                    f,
+                    "  {} {kind}: {}",
+                    date(judgement.day),
+                    judgement.sentence()
+                )?;
+            }
+            writeln!(f, "  {} {}", date(last.day), last.sentence())?;
+        }
+        Ok(())
+    }
+}
+
+/// Returns what each quantity promises, achieves, finds and misses.
+pub fn report_text(settings: &Settings, reports: &[QuantityReport]) -> String {
+    let mut text = format!(
+        "\nbudget: {} false alarms per year for {} quantities; loss that matters: {:.1} %\n",
+        settings.false_alarms_per_year,
+        settings.quantities.len(),
+        100.0 * settings.loss
+    );
+    for report in reports {
+        // Writing to a string cannot fail.
+        let _ = match (&report.reference, &report.missing) {
+            (Some(reference), _) => {
+                writeln!(text, "{}", reference_text(&report.quantity, reference))
+            }
+            (None, Some(missing)) => writeln!(text, "{}: not ready: {missing}", report.quantity),
+            (None, None) => writeln!(text, "{}: the commissioning is not over", report.quantity),
+        };
+    }
+    text
+}
+
+fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
+    let performance = &reference.performance;
+    let mut text = format!(
+        "{quantity}: reference of {} to {}, scatter {:.2} % a day, correlation {} between days\n  \
+         coverage of the 95 % interval in the commissioning: {:.0} %\n",
+        date(reference.from_day),
+        date(reference.to_day),
+        100.0 * reference.scatter,
+        reference.correlation,
+        100.0 * reference.coverage
+    );
+    match (reference.frost_knot, reference.knows_frost) {
+        (Some(knot), Some(true)) => {
+            let _ = writeln!(text, "  frost begins at {knot} °C");
+        }
+        (Some(_), _) => text.push_str("  the commissioning has fewer than five days of frost\n"),
+        (None, _) => {}
+    }
+    let _ = writeln!(
+        text,
+        "  false alarms per year: {} promised, {} achieved",
+        rate(performance.promised_per_year),
+        rate(performance.achieved_per_year)
+    );
+    for delay in &performance.delays {
+        let _ = writeln!(text, "  {}", delay_text(delay));
+    }
+    text.trim_end().to_owned()
+}
+
+fn delay_text(delay: &Delay) -> String {
+    let loss = format!("loss of {:.0} %", 100.0 * delay.loss);
+    let share = 100.0 * delay.found_in_a_month;
+    match delay.median_days {
+        Some(days) => {
+            format!("{loss}: found after {days} days (median), {share:.0} % within 30 days")
+        }
+        None => format!("{loss}: mostly missed, {share:.0} % found within 30 days"),
+    }
+}
+
+fn rate(per_year: f64) -> String {
+    format!("{per_year:.3}")
+}
+
+/// Returns the date of a number of days since 1970-01-01.
+fn date(day: i64) -> Date {
+    let days = jiff::Span::new().try_days(day).unwrap_or_default();
+    Date::constant(1970, 1, 1).saturating_add(days)
+}

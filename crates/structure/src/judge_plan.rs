@@ -1,0 +1,50 @@
+//! What `[judge]` states: quantities, conditions, budget, and the columns of their series.
+
+use crate::error::StructureError;
+use crate::file::StructureFile;
+use crate::structure::read_text;
+use spandrel_judge::Settings;
+use std::path::Path;
+
+/// The `[judge]` table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JudgePlan {
+    /// What is judged, under which conditions and with which budget.
+    pub settings: Settings,
+    /// Column of the time in a series.
+    pub time_column: String,
+    /// Column of each quantity, in the order of the settings.
+    pub quantity_columns: Vec<String>,
+    /// Column of each condition, in the order of the settings.
+    pub condition_columns: Vec<String>,
+}
+
+/// A structure that is judged: its name and its `[judge]` table.
+///
+/// The file needs no model, because natural frequencies may come from elsewhere.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JudgedStructure {
+    /// Name of the structure.
+    pub name: String,
+    /// Its `[judge]` table.
+    pub plan: JudgePlan,
+}
+
+impl JudgedStructure {
+    /// Reads a structure file with a `[judge]` table. The file may lack everything else but the
+    /// name of the structure.
+    ///
+    /// # Errors
+    /// Returns every mistake in the file, each with its line.
+    pub fn read(path: &Path) -> Result<Self, StructureError> {
+        Self::parse(&read_text(path)?, path)
+    }
+
+    /// Parses the text of a structure file. Messages contain `path`.
+    ///
+    /// # Errors
+    /// As for [`JudgedStructure::read`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, StructureError> {
+        StructureFile::parse(text, path)?.resolve_judged(path)
+    }
+}

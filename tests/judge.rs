@@ -1,0 +1,235 @@
+//! `spandrel judge`: the example of the book, and series with mistakes.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use support::{StiffnessLoss, seasons};
+
+/// First day of the example: 1 July 2024 (days since 1970-01-01 UTC).
+const FIRST_DAY: f64 = 19_905.0;
+/// Length of the example.
+const DAYS: u32 = 510;
+/// Loss of the first mode of the example.
+const LOSS: StiffnessLoss = StiffnessLoss {
+    share: 0.05,
+    day: 480,
+};
+/// Date of the loss.
+const LOSS_DATE: &str = "2025-10-24";
+const SECONDS_PER_DAY: f64 = 86_400.0;
+
+fn example(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples/judge")
+        .join(name)
+}
+
+fn judge(structure: &Path, series: &Path, options: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    command
+        .arg("judge")
+        .arg(structure)
+        .arg("--series")
+        .arg(series);
+    command.args(options).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Returns the simulated series of the example.
+fn simulated() -> String {
+    let mut text = "time,f1_hz,f2_hz,deck_celsius\n".to_owned();
+    for row in seasons(1, DAYS, Some(LOSS)) {
+        let seconds = SECONDS_PER_DAY * (row.day + FIRST_DAY);
+        let [first, second] = row
+            .frequencies
+            .map(|value| value.map_or(String::new(), |hertz| format!("{hertz:.4}")));
+        text += &format!("{seconds:.0},{first},{second},{:.2}\n", row.deck);
+    }
+    text
+}
+
+#[test]
+fn the_example_series_is_that_of_the_simulation() {
+    let path = example("footbridge.csv");
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, simulated()).unwrap();
+    }
+    let found = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        found == simulated(),
+        "docs/examples/judge/footbridge.csv differs from the simulation; UPDATE_DOCS=1 rewrites it"
+    );
+}
+
+#[test]
+fn the_example_finds_its_loss_and_nothing_before() {
+    let output = judge(
+        &example("footbridge.toml"),
+        &example("footbridge.csv"),
+        &["--json"],
+    );
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let stdout = text(&output.stdout);
+    let lines: Vec<serde_json::Value> = stdout
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    let raised: Vec<_> = lines.iter().filter(|line| line["raised"] == true).collect();
+    let losses: Vec<_> = raised
+        .iter()
+        .filter(|line| line["finding"]["kind"] != "stiffer")
+        .collect();
+    let [loss] = losses[..] else {
+        panic!("one loss must be raised: {losses:?}");
+    };
+    assert_eq!(loss["quantity"], "first-bending");
+    assert_eq!(loss["finding"]["kind"], "lasting-loss");
+    let date = loss["date"].as_str().unwrap();
+    assert!(date >= LOSS_DATE, "raised on {date}, lost on {LOSS_DATE}");
+}
+
+#[test]
+fn the_report_states_promise_achievement_and_what_would_be_missed() {
+    let output = judge(
+        &example("footbridge.toml"),
+        &example("footbridge.csv"),
+        &["--report"],
+    );
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let stdout = text(&output.stdout);
+    for part in [
+        "budget: 0.1 false alarms per year for 2 quantities",
+        "false alarms per year: 0.050 promised",
+        "loss of 5 %: found after",
+        "loss of 1 %: mostly missed",
+    ] {
+        assert!(stdout.contains(part), "{part}\n{stdout}");
+    }
+}
+
+/// A mistake in the example, and a part of its message.
+struct Mistake {
+    structure: (&'static str, &'static str),
+    series: (&'static str, &'static str),
+    said: &'static [&'static str],
+}
+
+const NONE: (&str, &str) = ("", "");
+
+#[test]
+fn a_mistake_in_a_series_is_named_with_its_place_and_exit_code_2() {
+    let series = "time,f1_hz,f2_hz,deck_celsius\n2025-01-01T00:00:00Z,2.3,3.9,4.0\n\
+                  2025-01-01T06:00:00Z,2.3,3.9,4.5\n2025-01-01T12:00:00Z,2.3,3.9,5.0\n";
+    let structure = std::fs::read_to_string(example("footbridge.toml")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let (toml, csv) = (
+        folder.path().join("bridge.toml"),
+        folder.path().join("bridge.csv"),
+    );
+    let mistakes = [
+        Mistake {
+            structure: NONE,
+            series: ("T12:00", "T03:00"),
+            said: &["bridge.csv:4: time", "is not later than"],
+        },
+        Mistake {
+            structure: NONE,
+            series: ("5.0", "278.2"),
+            said: &["bridge.csv:4:", "deck_celsius", "278.2", "check the unit"],
+        },
+        Mistake {
+            structure: NONE,
+            series: ("2.3,3.9,5.0", "-2.3,3.9,5.0"),
+            said: &["bridge.csv:4:", "f1_hz", "is -2.3, must be above 0"],
+        },
+        Mistake {
+            structure: NONE,
+            series: ("f1_hz,f2_hz", "tower_f1,tower_f2"),
+            said: &["bridge.csv:1: has no column `f1_hz`, `f2_hz`", "tower_f1"],
+        },
+        Mistake {
+            structure: ("loss = 0.02", "losss = 0.02"),
+            series: NONE,
+            said: &["bridge.toml:10: judge.losss: is not a known key"],
+        },
+    ];
+    for mistake in mistakes {
+        let changed = |text: &str, (from, to): (&str, &str)| {
+            assert!(text.contains(from), "{from}");
+            if from.is_empty() {
+                text.to_owned()
+            } else {
+                text.replace(from, to)
+            }
+        };
+        std::fs::write(&toml, changed(&structure, mistake.structure)).unwrap();
+        std::fs::write(&csv, changed(series, mistake.series)).unwrap();
+        let output = judge(&toml, &csv, &[]);
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
+        for part in mistake.said {
+            assert!(stderr.contains(part), "{part}\n{stderr}");
+        }
+    }
+}
+
+#[test]
+fn a_series_without_its_thermometer_gives_no_alarm() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("blind.csv");
+    let series = std::fs::read_to_string(example("footbridge.csv")).unwrap();
+    let blind = series.lines().map(|line| match line.rsplit_once(',') {
+        Some((measured, "deck_celsius")) => format!("{measured},deck_celsius\n"),
+        Some((measured, _)) => format!("{measured},\n"),
+        None => panic!("{line}"),
+    });
+    std::fs::write(&csv, blind.collect::<String>()).unwrap();
+    let output = judge(&example("footbridge.toml"), &csv, &[]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let stdout = text(&output.stdout);
+    assert!(stdout.contains("0 days judged"), "{stdout}");
+    assert!(stdout.contains("deck was not measured"), "{stdout}");
+    assert!(!stdout.contains("lasting-loss"), "{stdout}");
+}
+
+#[test]
+fn a_year_of_ten_quantities_is_judged() {
+    let folder = tempfile::tempdir().unwrap();
+    let (toml, csv) = (
+        folder.path().join("ten.toml"),
+        folder.path().join("ten.csv"),
+    );
+    let mut structure =
+        "[structure]\nname = \"ten\"\n[judge]\ncommissioning-days = 120\n".to_owned();
+    structure += "[[judge.condition]]\nname = \"deck\"\nunit = \"degC\"\n";
+    let mut header = "time,deck".to_owned();
+    for mode in 1..=10 {
+        structure += &format!("[[judge.quantity]]\nname = \"mode-{mode}\"\nis = \"frequency\"\n");
+        header += &format!(",mode-{mode}");
+    }
+    let mut series = header + "\n";
+    let bridges: Vec<_> = (1..=5).map(|seed| seasons(seed, 365, None)).collect();
+    for (index, first) in bridges[0].iter().enumerate() {
+        series += &format!("{:.0},{:.3}", SECONDS_PER_DAY * first.day, first.deck);
+        for value in bridges.iter().flat_map(|rows| rows[index].frequencies) {
+            series += &value.map_or(",".to_owned(), |hertz| format!(",{hertz:.5}"));
+        }
+        series.push('\n');
+    }
+    std::fs::write(&toml, structure).unwrap();
+    std::fs::write(&csv, series).unwrap();
+    let output = judge(&toml, &csv, &["--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let judgements = text(&output.stdout).lines().count();
+    assert_eq!(judgements, 10 * 365);
+}
