@@ -91,7 +91,8 @@ async fn estimates_before_the_first_checkpoint_of_alert_survive_that_both_are_ki
         command.arg("--config").arg(file);
         command
     };
-    // Whether alert saves anything within seconds is chance. Here it does not.
+    // Whether alert saves anything within seconds is chance. Here it does not, because no alert
+    // changes in the first second.
     let mut alert = command("alert", 3600.0);
     let mut identify = command("identify", 0.05);
     let config = BusConfig {
@@ -109,7 +110,8 @@ async fn estimates_before_the_first_checkpoint_of_alert_survive_that_both_are_ki
         .join(keys.root().as_str())
         .join(site.structure().name())
         .join("checkpoints");
-    for row in (0..500).step_by(10) {
+    const BEFORE: usize = 90;
+    for row in (0..BEFORE).step_by(10) {
         sensors.put(row..row + 10).await;
         let mut decided = bus
             .watch_progress(keys.progress(Service::Alert))
@@ -131,7 +133,7 @@ async fn estimates_before_the_first_checkpoint_of_alert_survive_that_both_are_ki
     first.into_iter().for_each(Process::kill);
     let _second = [Process::start(&mut identify), Process::start(&mut alert)];
     let mut reader = EstimateReader::join(&bus, &keys).await;
-    sensors.put(500..record.len()).await;
+    sensors.put(BEFORE..record.len()).await;
     let found = reader.read_frames(record.len()).await;
     assert_same_bits("second run", &expected.parameters, &expected.frames, found);
     let status = Drops::watch(&bus, &keys)

@@ -77,6 +77,10 @@ pub async fn all(table: &mut Table) {
     let place = |sequence| Place { epoch: 0, sequence };
     let path =
         |sequence: u64| checkpoints.join(format!("identify-{:020}-{sequence:020}.checkpoint", 0));
+    // The state before the first frame is older, and remains until alert has saved a decision.
+    if path(0).exists() {
+        std::fs::remove_file(path(0)).unwrap();
+    }
     std::fs::write(path(1), "what somebody else has put here").unwrap();
     std::fs::write(path(2), turned).unwrap();
     std::fs::write(path(3), &sound[..sound.len() / 2]).unwrap();

@@ -285,7 +285,7 @@ mod tests {
     #[test]
     fn sensors_that_are_not_sound_are_named_and_teach_nothing() {
         let sound = learnt(1.0);
-        assert_eq!(sound.suspected, []);
+        assert!(sound.suspected.is_empty());
         assert!(sound.observed.iter().all(Option::is_some));
         let dead = learnt(0.0);
         assert_eq!(dead.suspected, [FLOOR_2]);
