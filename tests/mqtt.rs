@@ -21,7 +21,6 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
 use support::{DEADLINE, HOUSE, Process, Site, skip, within};
 
 const STEP_NS: i64 = 10_000_000;
