@@ -9,8 +9,6 @@
 
 mod support;
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use spandrel_bus::{
     Bus, ConditionDisplay, Delivery, FrameBlock, InstrumentState, Service, Start, Status, Stream,
     TimeGrid,
@@ -91,19 +89,6 @@ impl Drop for Broker {
 struct Instrument(TcpStream);
 
 impl Instrument {
-    /// Publishes a message with quality of service 1, which the broker keeps for absent clients.
-    /// Returns once the broker has it. Source: MQTT 3.1.1, sections 3.3 and 3.4.
-    fn publish_kept(&mut self, topic: &str, payload: &[u8]) {
-        let mut body = vec![0, topic.len() as u8];
-        body.extend(topic.as_bytes());
-        body.extend([0, 1]); // packet identifier
-        body.extend(payload);
-        send(&mut self.0, 0x32, &body);
-        let mut answer = [0; 4];
-        self.0.read_exact(&mut answer).unwrap();
-        assert_eq!(answer, [0x40, 2, 0, 1], "the broker confirms the message");
-    }
-
     /// Publishes a message with quality of service 0.
     fn publish(&mut self, topic: &str, payload: &[u8]) {
         let mut body = vec![0, topic.len() as u8];
@@ -228,79 +213,6 @@ async fn json_messages_arrive_in_the_frames_as_they_were_published() {
         let sent = counts((time_ns - t0_ns) / STEP_NS).map(|count| count as f64 / 100.0);
         assert_eq!(values, sent);
     }
-    feed.stop().expect_code(0);
-}
-
-/// Returns the number of samples that a log reports as lost.
-fn lost_in(log: &str) -> u64 {
-    // `what="25 samples of channel ground lost up to …"`
-    let count = |line: &str| -> Option<u64> {
-        let (_, what) = line.split_once("what=\"")?;
-        what.split_once(" samples of channel")?.0.parse().ok()
-    };
-    log.lines().filter_map(count).sum()
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn gaps_of_messages_are_reported_to_the_sample_when_the_feed_is_killed() {
-    let folder = tempfile::tempdir().unwrap();
-    let Some(broker) = Broker::start(folder.path(), "allow_anonymous true") else {
-        return;
-    };
-    let more = "format = \"json\"\ntime-field = \"t\"\ntime-unit = \"ns\"";
-    let (site, _ingest, mut feed, bus) = start(more, &broker.address).await;
-    let (keys, settings) = (site.keys(), bus.reading(Start::Beginning).patient());
-    let stream = bus.follow::<FrameBlock>(keys.frames(), keys.recording(), settings);
-    let stream = stream.await.unwrap();
-    feed.wait_for_log("state=\"connected\"");
-    let (t0_ns, mut instrument) = (ago(3600), broker.instrument());
-    let mut random = ChaCha8Rng::seed_from_u64(20_067);
-    let (mut sent, mut found) = (0, BTreeMap::new());
-    // A feed reports a gap within milliseconds of its start. A subscriber of another process can
-    // miss this event, but the log contains it.
-    let mut reported = 0;
-    for round in 0..=10 {
-        // Some messages are waiting at the broker when the feed starts again.
-        let until = sent + random.random_range(20..150) * 10;
-        let killed_at = sent + random.random_range(10..until - sent);
-        while sent < until {
-            let list = |channel: usize| -> Vec<i64> {
-                let numbers = sent..sent + 10;
-                numbers.map(|number| counts(number)[channel]).collect()
-            };
-            let (t_ns, x, y) = (t0_ns + sent * STEP_NS, list(0), list(1));
-            let message = format!("{{\"t\": {t_ns}, \"x\": {x:?}, \"y\": {y:?}}}");
-            instrument.publish_kept("house/a/acc", message.as_bytes());
-            sent += 10;
-        }
-        let reached = match round {
-            10 => sent - 1,
-            _ => killed_at,
-        };
-        read_frames(&stream, &mut found, |last_ns| {
-            last_ns >= t0_ns + reached * STEP_NS
-        })
-        .await;
-        reported += lost_in(&feed.log());
-        if round < 10 {
-            feed.kill();
-            let path = site.folder().join("feed.toml");
-            feed = Process::start(site.connecting("feed").arg("--config").arg(path));
-            feed.wait_for_log("state=\"connected\"");
-        }
-    }
-    let mut missing = 0;
-    for (time_ns, values) in &found {
-        let number = (time_ns - t0_ns).div_euclid(STEP_NS);
-        for (value, sent) in values.iter().zip(counts(number)) {
-            match value.is_nan() {
-                true => missing += 1,
-                false => assert_eq!(*value, sent as f64 / 100.0, "sample {number}"),
-            }
-        }
-    }
-    assert_eq!(reported, missing);
-    assert_eq!(found.len() as i64, sent);
     feed.stop().expect_code(0);
 }
 

@@ -642,7 +642,7 @@ async fn queries(table: &mut Table, running: &Running) {
         (
             "a history of an unknown kind",
             format!("{of_history}?kind=colour"),
-            &["kind", "parameter, noise"],
+            &["kind", "parameter, loss, noise"],
         ),
     ] {
         let replies = running

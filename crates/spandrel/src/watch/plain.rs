@@ -33,9 +33,14 @@ pub fn alert_line(alert: &AlertMessage) -> String {
 /// Returns the line of a structure: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG,
 /// …`.
 pub fn structure_line(name: &Name, structure: &StructureState) -> String {
+    let conditions: Vec<String> = condition_texts(structure).collect();
+    let conditions = match conditions.is_empty() {
+        true => String::new(),
+        false => format!("; {}", conditions.join(", ")),
+    };
     let Some(time_ns) = structure.time_ns else {
         return format!(
-            "{name} {}{}{}",
+            "{name} {}{}{conditions}{}",
             nothing_measured(structure),
             alerts(structure),
             services(structure)
@@ -75,11 +80,6 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         .classes
         .as_ref()
         .map(|classes| format!("; class {}", leading_class(classes)));
-    let conditions: Vec<String> = condition_texts(structure).collect();
-    let conditions = match conditions.is_empty() {
-        true => String::new(),
-        false => format!("; {}", conditions.join(", ")),
-    };
     format!(
         "{}{} {name} {}{}{}{}{}{conditions}{}",
         time(time_ns),
