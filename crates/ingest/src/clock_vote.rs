@@ -175,7 +175,7 @@ impl ClockVote {
     pub fn look(&mut self, now: Duration) -> bool {
         self.count(now);
         let nodes = 0..self.nodes.len();
-        nodes.fold(false, |changed, node| self.judge(node, now) || changed)
+        nodes.filter(|node| self.judge(*node, now)).count() > 0
     }
 
     /// Returns the verdict on each node.

@@ -420,7 +420,6 @@ pub(super) fn modified_ns(metadata: &Metadata) -> i64 {
 #[cfg(test)]
 mod tests {
     use std::io::Write;
-    use std::time::SystemTime;
 
     use super::*;
 
@@ -467,7 +466,8 @@ mod tests {
         for (age, suffix) in [(4, ".4"), (3, ".3"), (2, ".2"), (1, ".1"), (0, "")] {
             append(&named(suffix), suffix);
             let file = File::options().write(true).open(named(suffix)).unwrap();
-            let modified = SystemTime::now() - Duration::from_secs(3600 * age);
+            let modified =
+                (UNIX_EPOCH + Duration::from_secs(1_700_000_000)) - Duration::from_secs(3600 * age);
             file.set_modified(modified).unwrap();
         }
         let plan = GrowingFile {
