@@ -466,8 +466,7 @@ mod tests {
         for (age, suffix) in [(4, ".4"), (3, ".3"), (2, ".2"), (1, ".1"), (0, "")] {
             append(&named(suffix), suffix);
             let file = File::options().write(true).open(named(suffix)).unwrap();
-            let modified =
-                (UNIX_EPOCH + Duration::from_secs(1_700_000_000)) - Duration::from_secs(3600 * age);
+            let modified = UNIX_EPOCH + Duration::from_secs(1_700_000_000 - 3600 * age);
             file.set_modified(modified).unwrap();
         }
         let plan = GrowingFile {
