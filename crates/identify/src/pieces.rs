@@ -5,14 +5,17 @@
 //! and the thread would not reply to the watchdog.
 
 use spandrel_bus::{Block, Delivery, Stream, StreamCounts};
+use tokio::time::{Duration, Instant};
 
-/// Maximum number of items per piece. Sources publish at most this number at once, so only fetched
-/// blocks are cut.
-///
-/// The heaviest models take 25 ms per item, so a piece takes about three seconds. On a machine with
-/// much other load it takes three times as long. The watchdog requires a reply from a thread within
-/// 10 s.
+/// Maximum number of items per piece. Sources publish at most this number at once.
 pub(crate) const MOST_ITEMS: u64 = 128;
+/// Maximum number of items in the first piece, whose cost per item is unknown. The heaviest models
+/// take 25 ms per item, and three times as long on a machine with much other load.
+const FIRST_ITEMS: u64 = 16;
+/// Number of items that a piece may always have.
+const LEAST_ITEMS: u64 = 8;
+/// Time that the work on a piece may take. The watchdog requires a reply from a thread within 10 s.
+const WORK: Duration = Duration::from_millis(500);
 
 /// The blocks of a stream, with long ones cut into pieces. The positions of the cuts do not affect
 /// the estimates.
@@ -21,16 +24,37 @@ pub(crate) struct Pieces<B> {
     stream: Stream<B>,
     /// The rest of a block.
     rest: Option<B>,
+    /// Maximum number of items of the next piece.
+    most: u64,
+    /// The last piece, until the next one is requested.
+    given: Option<Given>,
+}
+
+/// A piece on which the caller works.
+#[derive(Debug)]
+struct Given {
+    since: Instant,
+    items: u64,
 }
 
 impl<B: Block> Pieces<B> {
     pub(crate) fn of(stream: Stream<B>) -> Self {
-        Self { stream, rest: None }
+        Self {
+            stream,
+            rest: None,
+            most: FIRST_ITEMS,
+            given: None,
+        }
     }
 
     /// Waits for the next piece or gap. The future is safe to drop. Never returns `None` while this
     /// value exists.
+    ///
+    /// The time from one return to the next call counts as the work on the piece.
     pub(crate) async fn next(&mut self) -> Option<Delivery<B>> {
+        if let Some(Given { since, items }) = self.given.take() {
+            self.most = most_after(self.most, items, since.elapsed());
+        }
         let block = match self.rest.take() {
             Some(rest) => rest,
             None => match self.stream.deliveries().recv_async().await.ok()? {
@@ -38,8 +62,12 @@ impl<B: Block> Pieces<B> {
                 gap @ Delivery::Gap(_) => return Some(gap),
             },
         };
-        let (piece, rest) = cut(block);
+        let (piece, rest) = cut(block, self.most);
         self.rest = rest;
+        self.given = Some(Given {
+            since: Instant::now(),
+            items: piece.count(),
+        });
         Some(Delivery::Block(piece))
     }
 
@@ -49,16 +77,25 @@ impl<B: Block> Pieces<B> {
     }
 }
 
-/// Returns the first piece of a block and the rest, if any. The end of the epoch belongs to the
-/// rest.
-fn cut<B: Block>(block: B) -> (B, Option<B>) {
-    if block.count() <= MOST_ITEMS {
+/// Returns the maximum number of items of the next piece, after `took` for a piece of `items` items
+/// when `most` were allowed. It at most doubles.
+fn most_after(most: u64, items: u64, took: Duration) -> u64 {
+    let fitting = items as f64 * WORK.as_secs_f64() / took.as_secs_f64().max(1e-6);
+    (fitting as u64)
+        .min(2 * most)
+        .clamp(LEAST_ITEMS, MOST_ITEMS)
+}
+
+/// Returns the first piece of a block, with at most `most` items, and the rest, if any. The end of
+/// the epoch belongs to the rest.
+fn cut<B: Block>(block: B, most: u64) -> (B, Option<B>) {
+    if block.count() <= most {
         return (block, None);
     }
     let mut piece = block.clone();
-    piece.truncate(MOST_ITEMS);
+    piece.truncate(most);
     let mut rest = block;
-    rest.skip(MOST_ITEMS);
+    rest.skip(most);
     (piece, Some(rest))
 }
 
@@ -89,7 +126,7 @@ mod tests {
         let mut pieces = Vec::new();
         let mut next = Some(block);
         while let Some(block) = next.take() {
-            let (piece, rest) = cut(block);
+            let (piece, rest) = cut(block, MOST_ITEMS);
             pieces.push(piece);
             next = rest;
         }
@@ -110,6 +147,22 @@ mod tests {
         let mut together = pieces.next().unwrap();
         assert!(pieces.all(|piece| together.append(&piece)));
         assert_eq!(together, whole);
+    }
+
+    #[test]
+    fn heavy_work_shortens_the_pieces_and_light_work_lengthens_them() {
+        let heavy = |items: u64| Duration::from_millis(75 * items);
+        let mut most = FIRST_ITEMS;
+        for _ in 0..4 {
+            most = most_after(most, most, heavy(most));
+        }
+        assert_eq!(most, LEAST_ITEMS);
+        for _ in 0..4 {
+            most = most_after(most, most, Duration::ZERO);
+        }
+        assert_eq!(most, MOST_ITEMS);
+        let usual = Duration::from_millis(25 * MOST_ITEMS);
+        assert_eq!(most_after(most, MOST_ITEMS, usual), 20);
     }
 
     #[test]
