@@ -176,11 +176,23 @@ pub fn assert_same_bits(
     found: &[Identified],
 ) {
     let count = (expected.len(), found.len());
+    let back = || {
+        let not_later = |pair: &[Identified]| pair[1].time_ns <= pair[0].time_ns;
+        match found.windows(2).position(not_later) {
+            Some(number) => format!(
+                "frame {number} at {} ns, and the next at {} ns",
+                found[number].time_ns,
+                found[number + 1].time_ns
+            ),
+            None => "their times increase".to_owned(),
+        }
+    };
     assert!(
         count.0 == count.1,
-        "{route}\n  expected {} frames (spandrel estimate)\n  found    {}",
+        "{route}\n  expected {} frames (spandrel estimate)\n  found    {}; {}",
         count.0,
-        count.1
+        count.1,
+        back()
     );
     let bits = |frame: &Identified| -> Vec<(u64, u64)> {
         frame
