@@ -405,7 +405,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 27);
+    assert_eq!(messages.len(), 28);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -436,7 +436,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_valid_message(
-        which in 0usize..27,
+        which in 0usize..28,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -445,7 +445,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..27, to in 0usize..27) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..28, to in 0usize..28) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);
