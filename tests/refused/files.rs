@@ -2,6 +2,7 @@
 
 use crate::support::{Finished, Process, spandrel, two_storeys};
 use crate::table::Table;
+use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 
@@ -38,7 +39,7 @@ type Mistake = (
     &'static [&'static str],
 );
 
-const MISTAKES: [Mistake; 19] = [
+const MISTAKES: [Mistake; 20] = [
     (
         "no value behind a key",
         "storeys = 2",
@@ -92,6 +93,12 @@ const MISTAKES: [Mistake; 19] = [
         "\"house\"",
         "\"House/1\"",
         &["structure.name", "\"House/1\"", "1 to 64"],
+    ),
+    (
+        "a terminal escape in a name",
+        "\"house\"",
+        "\"ho\\u001b[31muse\"",
+        &["structure.name", "\\u{1b}[31m", "1 to 64"],
     ),
     (
         "a name of 65 characters",
@@ -181,8 +188,14 @@ pub fn structure_files(table: &mut Table) {
     );
     std::fs::write(&file, b"\xff\xfe[\0s\0").unwrap();
     table.add_ended(
-        "a file that is not UTF-8",
-        (BAD_INPUT, &parts(&["tower.toml", "UTF-8"])),
+        "a file in UTF-16",
+        (BAD_INPUT, &parts(&["tower.toml:1", "UTF-16", "UTF-8"])),
+        &check("tower.toml"),
+    );
+    std::fs::write(&file, b"# tower\n# caf\xe9\n").unwrap();
+    table.add_ended(
+        "a file in Latin-1",
+        (BAD_INPUT, &parts(&["tower.toml:2", "byte 0xe9", "UTF-8"])),
         &check("tower.toml"),
     );
     table.add_ended(
@@ -192,14 +205,39 @@ pub fn structure_files(table: &mut Table) {
     );
     table.add_ended(
         "a folder",
-        (BAD_INPUT, &parts(&["cannot be read"])),
+        (BAD_INPUT, &parts(&["folder", "regular file"])),
         &check("."),
     );
     table.add_ended(
         "a device without end",
-        (BAD_INPUT, &parts(&["/dev/zero", "16777216 bytes"])),
+        (BAD_INPUT, &parts(&["/dev/zero", "regular file"])),
         &check("/dev/zero"),
     );
+    make_pipe(&folder.path().join("pipe.toml"));
+    table.add_ended(
+        "a pipe without a writer",
+        (BAD_INPUT, &parts(&["pipe.toml", "regular file"])),
+        &check("pipe.toml"),
+    );
+    let matrices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/matrices.toml");
+    let text = std::fs::read_to_string(matrices).unwrap();
+    make_pipe(&folder.path().join("pipe.mtx"));
+    let named = text.split('"').find(|part| part.ends_with(".mtx"));
+    std::fs::write(&file, text.replace(named.unwrap(), "pipe.mtx")).unwrap();
+    table.add_ended(
+        "a matrix that is a pipe without a writer",
+        (
+            BAD_INPUT,
+            &parts(&["tower.toml:", "pipe.mtx", "pipe", "Matrix Market"]),
+        ),
+        &check("tower.toml"),
+    );
+}
+
+/// Creates a named pipe. Opening it waits for a writer.
+fn make_pipe(path: &Path) {
+    let made = Command::new("mkfifo").arg(path).status().unwrap();
+    assert!(made.success(), "mkfifo {}", path.display());
 }
 
 /// Mistakes in a configuration file, and what the error names.
@@ -330,6 +368,11 @@ pub fn configurations(table: &mut Table) {
         let given = format!("{given}: `{}`", text.trim_end().replace('\n', " "));
         table.add_ended(&given, (BAD_INPUT, &parts(told)), &finish(&mut run));
     }
+    std::fs::write(folder.path().join("spandrel.toml"), b"\xfe\xff\0[\0b").unwrap();
+    let mut run = command(folder.path(), "run");
+    run.args(["house.toml", "--config", "spandrel.toml"]);
+    let told = parts(&["spandrel.toml:1", "UTF-16 (big-endian)", "UTF-8"]);
+    table.add_ended("a file in UTF-16", (BAD_INPUT, &told), &finish(&mut run));
     for (variable, value, told) in [
         (
             "SPANDREL_THREADS",
@@ -507,12 +550,62 @@ pub fn records(table: &mut Table) {
             finish(command(folder.path(), "estimate").args(["house.toml", "--record", "rec.csv"]));
         table.add_ended(given, (BAD_INPUT, &parts(told)), &finished);
     }
+    huge_records(table, folder.path());
     for (given, name, bytes, told) in damaged_formats(folder.path()) {
         std::fs::write(folder.path().join(&name), bytes).unwrap();
         let finished = finish(command(folder.path(), "info").arg(&name));
         let told: Vec<String> = std::iter::once(name).chain(parts(told)).collect();
         table.add_ended(given, (BAD_INPUT, &told), &finished);
     }
+}
+
+/// Adds recordings that are huge, or have no end.
+fn huge_records(table: &mut Table, folder: &Path) {
+    let estimate = |record: &str| {
+        let mut estimate = command(folder, "estimate");
+        finish(estimate.args(["house.toml", "--record", record]))
+    };
+    let info = |record: &str| finish(command(folder, "info").arg(record));
+    make_pipe(&folder.join("pipe.csv"));
+    for (given, record) in [
+        ("a pipe without a writer", "pipe.csv"),
+        ("a device without end", "/dev/zero"),
+    ] {
+        let told = parts(&[record, "pipe, a device", "regular file"]);
+        table.add_ended(given, (BAD_INPUT, &told), &estimate(record));
+    }
+    let sparse = std::fs::File::create(folder.join("sparse.csv")).unwrap();
+    let rows = "0.5,1.5\n".repeat(10_000);
+    (&sparse).write_all(rows.as_bytes()).unwrap();
+    sparse.set_len(3 << 30).unwrap();
+    let told = parts(&["sparse.csv:10001", "no end within 1048576 bytes"]);
+    table.add_ended("a row of 3 GiB", (BAD_INPUT, &told), &info("sparse.csv"));
+    let columns: Vec<String> = (0..100_000).map(|number| format!("c{number}")).collect();
+    std::fs::write(folder.join("wide.csv"), columns.join(",") + "\n").unwrap();
+    let told = parts(&["wide.csv:1", "100000 columns", "10000"]);
+    table.add_ended("100,000 columns", (BAD_INPUT, &told), &info("wide.csv"));
+    let zeros = folder.join("zeros");
+    std::fs::write(&zeros, "0.5,1.5\n".repeat(1 << 21)).unwrap();
+    let member = Command::new("gzip")
+        .arg("-9nc")
+        .arg(&zeros)
+        .output()
+        .unwrap();
+    std::fs::write(folder.join("bomb.csv.gz"), member.stdout.repeat(64)).unwrap();
+    let told = parts(&[
+        "bomb.csv.gz",
+        "decompressed",
+        "100 times the compressed size",
+    ]);
+    table.add_ended(
+        "1 GiB of equal rows in 1 MB of gzip",
+        (BAD_INPUT, &told),
+        &info("bomb.csv.gz"),
+    );
+    let mut convert = command(folder, "convert");
+    let finished = finish(convert.args(["sound.csv", "out.csv", "--resample", "1e12"]));
+    let told = parts(&["sound.csv", "1000000000000 Hz", "10000 times"]);
+    table.add_ended("a conversion to 1e12 Hz", (BAD_INPUT, &told), &finished);
 }
 
 /// Returns a damaged recording of each non-tabular format: description, name, bytes, and what the

@@ -9,6 +9,7 @@ mod distributed;
 mod error;
 mod logging;
 mod offline;
+mod printable;
 mod record_source;
 mod role_check;
 mod sensor_report;
@@ -20,6 +21,7 @@ mod supervision;
 mod watch;
 
 use clap::Parser;
+use printable::escaped;
 use std::io::Write;
 use std::process::ExitCode;
 
@@ -39,7 +41,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // If standard error is closed, only the exit code reports the error.
-            let _ = std::io::stderr().write_all(error.report().as_bytes());
+            let _ = std::io::stderr().write_all(escaped(&error.report()).as_bytes());
             error.exit_code()
         }
     }

@@ -14,6 +14,12 @@ pub enum StructureError {
         /// Error of the operating system.
         source: std::io::Error,
     },
+    /// The path leads to a folder, a pipe, a device or a socket.
+    #[error("{}: is a folder, a pipe, a device or a socket, must be a regular file", path.display())]
+    NotAFile {
+        /// Path of the requested file.
+        path: PathBuf,
+    },
     /// The file exceeds the maximum size of a structure file.
     #[error("{}: has more than {most} bytes, must have at most {most}", path.display())]
     TooLarge {
@@ -35,7 +41,7 @@ impl StructureError {
     #[must_use]
     pub fn diagnostics(&self) -> &[Diagnostic] {
         match self {
-            Self::Unreadable { .. } | Self::TooLarge { .. } => &[],
+            Self::Unreadable { .. } | Self::NotAFile { .. } | Self::TooLarge { .. } => &[],
             Self::Invalid { diagnostics } => diagnostics,
         }
     }

@@ -30,6 +30,7 @@
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
+//! - [`text_encoding`]: decodes the text of a file, and names an encoding other than UTF-8
 //!
 //! Logic:
 //!
@@ -67,6 +68,7 @@ mod mesh;
 mod section;
 mod shear_building;
 mod skeleton;
+pub mod text_encoding;
 mod tower;
 mod truss;
 
@@ -82,6 +84,7 @@ mod linear_form;
 mod model;
 mod modes;
 mod of_node;
+mod ritz_basis;
 mod simulator;
 mod sparse_cholesky;
 mod spectral_information;

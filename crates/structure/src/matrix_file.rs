@@ -2,9 +2,12 @@
 //! them.
 
 use crate::linear_system::LARGEST_MODEL;
+use crate::text_encoding::decode;
 use nalgebra::{DMatrix, SymmetricEigen};
 use nalgebra_sparse::io::load_coo_from_matrix_market_str;
 use nalgebra_sparse::{CooMatrix, CsrMatrix};
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 /// Maximum difference of mirrored entries, relative to the largest entry. Files contain rounded
@@ -36,8 +39,8 @@ impl Unusable {
 pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
     let allowed = "must be a Matrix Market file beside the structure file";
     let shown = path.display();
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| Unusable::new(format!("{shown} cannot be read ({error})"), allowed))?;
+    let text =
+        read_text(path).map_err(|found| Unusable::new(format!("{shown} {found}"), allowed))?;
     // The reader rejects a last line without a line break, and lines that end in CR LF.
     let text = text.replace("\r\n", "\n");
     check_sizes(&text).map_err(|found| Unusable::new(format!("{shown} {found}"), SIZE_RULE))?;
@@ -61,6 +64,30 @@ pub(crate) fn read(path: &Path) -> Result<CsrMatrix<f64>, Unusable> {
         )),
         None => Ok(matrix),
     }
+}
+
+/// Maximum size of a matrix file (bytes): all entries of the largest matrix, each on its own line.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Reads the text of a matrix file. The error describes what was found.
+fn read_text(path: &Path) -> Result<String, String> {
+    let unreadable = |error: std::io::Error| format!("cannot be read ({error})");
+    // Opening a pipe waits for its writer, and a device has no end.
+    if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
+        return Err("is a folder, a pipe, a device or a socket".to_owned());
+    }
+    let mut bytes = Vec::new();
+    File::open(path)
+        .map_err(unreadable)?
+        .take(MAX_BYTES + 1)
+        .read_to_end(&mut bytes)
+        .map_err(unreadable)?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(format!(
+            "has more than {MAX_BYTES} bytes, at most {MAX_BYTES} are allowed"
+        ));
+    }
+    decode(bytes).map_err(|wrong| format!("line {}: {}", wrong.line, wrong.found))
 }
 
 /// Allowed numbers of rows, columns and entries.

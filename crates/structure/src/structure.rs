@@ -2,7 +2,7 @@
 
 use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
-use crate::error::StructureError;
+use crate::error::{Diagnostic, StructureError};
 use crate::estimated_response::EstimatedResponse;
 use crate::excitation::{Action, Excitation};
 use crate::excitation_dependence::ExcitationErrors;
@@ -18,12 +18,14 @@ use crate::parameter::Parameter;
 use crate::record_map::RecordMap;
 use crate::settings::{BandLimit, IngestSettings, ParticleKeys};
 use crate::simulation_plan::SimulationPlan;
+use crate::text_encoding::{WrongEncoding, decode};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::InputHold;
 use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Share of the sensor noise below which the start-up aid counts as faded.
 const ANNEALING_FADED: f64 = 0.01;
@@ -60,6 +62,8 @@ pub struct Structure {
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
     pub(crate) excitation_errors: ExcitationErrors,
+    /// Modes as designed. No clone of a structure changes its mass or stiffness.
+    pub(crate) modes: Arc<Modes>,
 }
 
 /// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than
@@ -76,19 +80,31 @@ impl Structure {
             path: path.to_owned(),
             source,
         };
-        let mut text = String::new();
-        // A device has no length and may never end.
+        // Opening a pipe waits for its writer, and a device has no end.
+        if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
+            return Err(StructureError::NotAFile {
+                path: path.to_owned(),
+            });
+        }
+        let mut bytes = Vec::new();
         File::open(path)
             .map_err(unreadable)?
             .take(MAX_BYTES + 1)
-            .read_to_string(&mut text)
+            .read_to_end(&mut bytes)
             .map_err(unreadable)?;
-        if text.len() as u64 > MAX_BYTES {
+        if bytes.len() as u64 > MAX_BYTES {
             return Err(StructureError::TooLarge {
                 path: path.to_owned(),
                 most: MAX_BYTES,
             });
         }
+        let text = decode(bytes).map_err(|wrong| {
+            let WrongEncoding { line, found, .. } = wrong;
+            let allowed = WrongEncoding::ALLOWED;
+            StructureError::Invalid {
+                diagnostics: vec![Diagnostic::new(path, line, "encoding", found, allowed)],
+            }
+        })?;
         Self::parse(&text, path)
     }
 
@@ -387,22 +403,12 @@ impl Structure {
             .filter(|channel| !channel.quantity().is_excitation())
     }
 
-    /// Returns the natural frequencies as designed (Hz), lowest first; empty if they cannot be
-    /// computed.
+    /// Returns the natural frequencies as designed (Hz), lowest first.
     #[must_use]
     pub fn natural_frequencies_hz(&self) -> Vec<f64> {
-        let modes = self
-            .nominal_modes()
-            .map(|modes| modes.angular_frequencies)
-            .unwrap_or_default();
-        modes
-            .iter()
+        let omegas = self.modes.angular_frequencies.iter();
+        omegas
             .map(|omega| omega / (2.0 * std::f64::consts::PI))
             .collect()
-    }
-
-    /// Returns the undamped modes as designed.
-    pub(crate) fn nominal_modes(&self) -> Option<Modes> {
-        Modes::of(&self.system, &vec![1.0; self.system.substructures.len()])
     }
 }
