@@ -12,6 +12,7 @@ mod judge_report;
 mod logging;
 mod modes;
 mod offline;
+mod printable;
 mod record_source;
 mod role_check;
 mod sensor_report;
@@ -23,6 +24,7 @@ mod supervision;
 mod watch;
 
 use clap::Parser;
+use printable::escaped;
 use std::io::Write;
 use std::process::ExitCode;
 
@@ -43,7 +45,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // If standard error is closed, only the exit code reports the error.
-            let _ = std::io::stderr().write_all(error.report().as_bytes());
+            let _ = std::io::stderr().write_all(escaped(&error.report()).as_bytes());
             error.exit_code()
         }
     }
