@@ -22,11 +22,13 @@ mod state;
 mod summary;
 mod supervision;
 mod watch;
+mod zenoh_threads;
 
 use clap::Parser;
 use printable::escaped;
 use std::io::Write;
 use std::process::ExitCode;
+use tracing::warn;
 
 /// The allocator of the C library never returns the memory of a burst when blocks of many streams
 /// come and go.
@@ -40,7 +42,15 @@ static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
     let scope = arguments.command.audited();
+    // Before any thread exists, because none survives it.
+    let threads = match scope {
+        Some(_) => zenoh_threads::provide(),
+        None => Ok(()),
+    };
     logging::start(arguments.log, arguments.verbose, scope);
+    if let Err(error) = threads {
+        warn!(%error, "cannot start Zenoh with more threads; suspended subscribers delay all others");
+    }
     match commands::run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
