@@ -13,7 +13,7 @@ mod support;
 use spandrel_bus::Service;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use support::{DEADLINE, Drops, Process, Site, spandrel, two_storeys};
+use support::{DEADLINE, Drops, Process, Site, five_storeys, spandrel, two_storeys};
 
 /// Starts all services with a page, and returns the address of the page.
 fn with_page(site: &Site, arguments: &[&str]) -> (Process, String) {
@@ -177,5 +177,39 @@ async fn malformed_queries_are_counted_and_hardly_logged() {
         "{lines} lines about {MANY} queries"
     );
     bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}
+
+/// Regression: to close the connection of a suspended subscriber blocked a thread of Zenoh for 10 s.
+/// Two of them stopped all reception, nodes disappeared, and samples were lost.
+#[tokio::test(flavor = "multi_thread")]
+async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
+    const READERS: usize = 20;
+    const DURATION_S: usize = 40;
+    let site = Site::of(&five_storeys());
+    let (services, _) = with_page(&site, &[]);
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    let mut simulation = site.connecting("simulate");
+    simulation.args(["--live", "--duration", &DURATION_S.to_string()]);
+    let simulation = Process::start(&mut simulation);
+    let readers: Vec<Process> = (0..READERS)
+        .map(|_| Process::start(&mut site.connecting("watch")))
+        .collect();
+    for reader in &readers {
+        reader.wait_for_output("values", |said| said.contains("storey-1"));
+    }
+    readers.iter().for_each(Process::freeze);
+    services.wait_for_log("refused what=\"bus-reader\"");
+    simulation.wait().expect_code(0);
+    let frames = 100 * DURATION_S as u64;
+    let identify = drops.when_done(Service::Identify, frames).await;
+    let ingest = drops.expect(Service::Ingest, "late-samples", 0).await;
+    for reason in ["late-samples", "lost-items", "gap-samples"] {
+        assert_eq!(ingest.get(reason), None, "{ingest:?}");
+        assert_eq!(identify.drops.get(reason), None, "{:?}", identify.drops);
+    }
+    readers.into_iter().for_each(Process::kill);
     services.stop().expect_code(0);
 }

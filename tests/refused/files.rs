@@ -39,7 +39,7 @@ type Mistake = (
     &'static [&'static str],
 );
 
-const MISTAKES: [Mistake; 19] = [
+const MISTAKES: [Mistake; 20] = [
     (
         "no value behind a key",
         "storeys = 2",
@@ -93,6 +93,12 @@ const MISTAKES: [Mistake; 19] = [
         "\"house\"",
         "\"House/1\"",
         &["structure.name", "\"House/1\"", "1 to 64"],
+    ),
+    (
+        "a terminal escape in a name",
+        "\"house\"",
+        "\"ho\\u001b[31muse\"",
+        &["structure.name", "\\u{1b}[31m", "1 to 64"],
     ),
     (
         "a name of 65 characters",
@@ -212,6 +218,19 @@ pub fn structure_files(table: &mut Table) {
         "a pipe without a writer",
         (BAD_INPUT, &parts(&["pipe.toml", "regular file"])),
         &check("pipe.toml"),
+    );
+    let matrices = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/matrices.toml");
+    let text = std::fs::read_to_string(matrices).unwrap();
+    make_pipe(&folder.path().join("pipe.mtx"));
+    let named = text.split('"').find(|part| part.ends_with(".mtx"));
+    std::fs::write(&file, text.replace(named.unwrap(), "pipe.mtx")).unwrap();
+    table.add_ended(
+        "a matrix that is a pipe without a writer",
+        (
+            BAD_INPUT,
+            &parts(&["tower.toml:", "pipe.mtx", "pipe", "Matrix Market"]),
+        ),
+        &check("tower.toml"),
     );
 }
 
@@ -349,6 +368,11 @@ pub fn configurations(table: &mut Table) {
         let given = format!("{given}: `{}`", text.trim_end().replace('\n', " "));
         table.add_ended(&given, (BAD_INPUT, &parts(told)), &finish(&mut run));
     }
+    std::fs::write(folder.path().join("spandrel.toml"), b"\xfe\xff\0[\0b").unwrap();
+    let mut run = command(folder.path(), "run");
+    run.args(["house.toml", "--config", "spandrel.toml"]);
+    let told = parts(&["spandrel.toml:1", "UTF-16 (big-endian)", "UTF-8"]);
+    table.add_ended("a file in UTF-16", (BAD_INPUT, &told), &finish(&mut run));
     for (variable, value, told) in [
         (
             "SPANDREL_THREADS",

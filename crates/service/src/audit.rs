@@ -45,11 +45,13 @@ pub enum Refused {
     BusHandshake,
     /// A message or declaration that the role of a party does not permit on the bus.
     BusRight,
+    /// A peer on the bus that stopped reading, and was disconnected.
+    BusReader,
 }
 
 impl Refused {
     /// All kinds.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::WrongToken,
         Self::RepeatedToken,
         Self::Forbidden,
@@ -61,6 +63,7 @@ impl Refused {
         Self::Acknowledgement,
         Self::BusHandshake,
         Self::BusRight,
+        Self::BusReader,
     ];
 
     /// Returns the name of the kind in the log and in the metrics.
@@ -78,6 +81,7 @@ impl Refused {
             Self::Acknowledgement => "acknowledgement",
             Self::BusHandshake => "bus-handshake",
             Self::BusRight => "bus-right",
+            Self::BusReader => "bus-reader",
         }
     }
 }

@@ -33,25 +33,32 @@ const HANDSHAKES: &str = "zenoh_link_commons::quic";
 const CERTIFICATES: &str = "zenoh_link_quic::unicast";
 /// Accepted connections with the identifier of the session.
 const SESSIONS: &str = "zenoh_transport::unicast::establishment::accept";
+/// Connections that Zenoh closes because the peer takes no messages.
+const BLOCKED: &str = "zenoh_transport::unicast::universal::tx";
+/// Connections that Zenoh closes because the peer sends nothing, not even a sign of life.
+const EXPIRED: &str = "zenoh_transport::unicast::universal::link";
 /// Decisions on access, in a router. The permitted ones are among them.
 const DECISIONS: &str = "zenoh::net::routing::interceptor::access_control";
 
 /// What a process reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// Failed handshakes.
-    Handshakes,
-    /// Failed handshakes, and what the roles of a router do not permit.
+    /// Failed handshakes, and peers that stopped reading.
+    Peers,
+    /// The same, and what the roles of a router do not permit.
     Router,
 }
 
 impl Scope {
     /// Returns the log events of Zenoh that are read.
     pub fn targets(self) -> Targets {
-        let handshakes = Targets::new().with_target(HANDSHAKES, Level::WARN);
+        let peers = Targets::new()
+            .with_target(HANDSHAKES, Level::WARN)
+            .with_target(BLOCKED, Level::ERROR)
+            .with_target(EXPIRED, Level::DEBUG);
         match self {
-            Self::Handshakes => handshakes,
-            Self::Router => handshakes
+            Self::Peers => peers,
+            Self::Router => peers
                 .with_target(CERTIFICATES, Level::DEBUG)
                 .with_target(SESSIONS, Level::DEBUG)
                 .with_target(DECISIONS, Level::TRACE),
@@ -219,6 +226,9 @@ impl Parties {
                 why: reason(failure),
             });
         }
+        if let Some(closed) = self.read_closed(text) {
+            return Some(closed);
+        }
         if let Some(accepted) = text.strip_prefix("Accepted QUIC connection on ") {
             self.take_certificate(accepted);
             return None;
@@ -233,6 +243,26 @@ impl Parties {
             return None;
         }
         self.take_decision(text)
+    }
+
+    /// Reads `Unable to push non droppable network message to SESSION. …` or `RX task failed: HERE =>
+    /// ADDRESS: expired after …`.
+    fn read_closed(&self, text: &str) -> Option<Refusal> {
+        let closed = |who: String, why: &str| Refusal {
+            refused: Refused::BusReader,
+            who,
+            why: why.to_owned(),
+        };
+        let blocked = text.strip_prefix("Unable to push non droppable network message to ");
+        if let Some((session, _)) = blocked.and_then(|rest| rest.split_once(". ")) {
+            let who = self.sessions.get(session).map_or(session, String::as_str);
+            return Some(closed(who.to_owned(), "it took no messages; disconnected"));
+        }
+        let (link, _) = text
+            .strip_prefix("RX task failed: ")?
+            .split_once(": expired after ")?;
+        let address = link.rsplit(" => ").next().unwrap_or(link);
+        Some(closed(address.to_owned(), "no sign of life; disconnected"))
     }
 
     /// Reads `SERVER: CLIENT. NAME.`
@@ -369,6 +399,22 @@ mod tests {
             let (refused, _, found) = read(&mut parties, &failed(error)).unwrap();
             assert_eq!((refused, found.as_str()), (Refused::BusHandshake, why));
         }
+    }
+
+    #[test]
+    fn a_peer_that_stopped_reading_is_named() {
+        let mut parties = Parties::default();
+        let blocked = "Unable to push non droppable network message to ab12. Closing transport!";
+        let (refused, who, _) = read(&mut parties, blocked).unwrap();
+        assert_eq!((refused, who.as_str()), (Refused::BusReader, "ab12"));
+        let expired = "RX task failed: tcp/127.0.0.1:7447 => tcp/127.0.0.1:40001: expired after \
+                       10000 milliseconds at /x/link.rs:531.";
+        let (refused, who, _) = read(&mut parties, expired).unwrap();
+        assert_eq!(
+            (refused, who.as_str()),
+            (Refused::BusReader, "tcp/127.0.0.1:40001")
+        );
+        assert_eq!(read(&mut parties, "RX task failed: closed"), None);
     }
 
     #[test]

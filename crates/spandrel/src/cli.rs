@@ -197,7 +197,7 @@ impl Command {
             | Self::Alert(_)
             | Self::History(_)
             | Self::Notify(_)
-            | Self::Dashboard(_) => Some(Scope::Handshakes),
+            | Self::Dashboard(_) => Some(Scope::Peers),
             _ => None,
         }
     }

@@ -25,6 +25,7 @@ mod watch;
 
 use crate::cli::{Arguments, Command};
 use crate::error::AppError;
+use crate::printable::escaped;
 use crate::services::Share;
 use clap::CommandFactory;
 use spandrel_identify::Precedence;
@@ -120,8 +121,10 @@ pub fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// Writes a result to standard output. A closed pipe (`| head`) is not an error.
+/// Writes a result to standard output, with control characters escaped. A closed pipe (`| head`) is
+/// not an error.
 pub fn print(text: &str) -> Result<(), AppError> {
+    let text = escaped(text);
     match std::io::stdout().lock().write_all(text.as_bytes()) {
         Err(source) if source.kind() != std::io::ErrorKind::BrokenPipe => Err(AppError::Io {
             what: "cannot write to standard output".to_owned(),

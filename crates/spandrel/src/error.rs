@@ -14,6 +14,7 @@ use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
 use spandrel_sensor::SensorError;
 use spandrel_structure::StructureError;
+use spandrel_structure::text_encoding::WrongEncoding;
 use spandrel_validate::ValidateError;
 use std::error::Error;
 use std::fmt::Write as _;
@@ -63,6 +64,14 @@ pub enum AppError {
     NoConfiguration {
         /// Path of the file.
         path: PathBuf,
+    },
+    /// The configuration file is not UTF-8.
+    #[error("{}:{}: {wrong}", path.display(), wrong.line)]
+    WrongEncoding {
+        /// Path of the file.
+        path: PathBuf,
+        /// The encoding found and its position.
+        wrong: WrongEncoding,
     },
     /// The configuration is not valid.
     #[error(
@@ -447,6 +456,7 @@ impl AppError {
             | Self::Epoch { .. }
             | Self::SeriesValue { .. }
             | Self::NoConfiguration { .. }
+            | Self::WrongEncoding { .. }
             | Self::Configuration { .. }
             | Self::NoStructure
             | Self::SameStructure { .. }

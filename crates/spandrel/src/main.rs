@@ -12,6 +12,7 @@ mod judge_report;
 mod logging;
 mod modes;
 mod offline;
+mod printable;
 mod record_source;
 mod role_check;
 mod sensor_report;
@@ -21,10 +22,13 @@ mod state;
 mod summary;
 mod supervision;
 mod watch;
+mod zenoh_threads;
 
 use clap::Parser;
+use printable::escaped;
 use std::io::Write;
 use std::process::ExitCode;
+use tracing::warn;
 
 /// The allocator of the C library never returns the memory of a burst when blocks of many streams
 /// come and go.
@@ -38,12 +42,20 @@ static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
     let scope = arguments.command.audited();
+    // Before any thread exists, because none survives it.
+    let threads = match scope {
+        Some(_) => zenoh_threads::provide(),
+        None => Ok(()),
+    };
     logging::start(arguments.log, arguments.verbose, scope);
+    if let Err(error) = threads {
+        warn!(%error, "cannot start Zenoh with more threads; suspended subscribers delay all others");
+    }
     match commands::run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // If standard error is closed, only the exit code reports the error.
-            let _ = std::io::stderr().write_all(error.report().as_bytes());
+            let _ = std::io::stderr().write_all(escaped(&error.report()).as_bytes());
             error.exit_code()
         }
     }

@@ -10,6 +10,7 @@ use spandrel_dashboard::{DashboardError, Listen, PageCertificate, PageSettings, 
 use spandrel_feed::FeedSettings;
 use spandrel_history::{Address, Keep};
 use spandrel_notify::NotifySettings;
+use spandrel_structure::text_encoding::decode;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
@@ -179,6 +180,7 @@ impl Settings {
             if !path.is_file() {
                 return Err(AppError::NoConfiguration { path: path.clone() });
             }
+            check_encoding(path)?;
             builder = builder.add_source(File::from(path.clone()).format(FileFormat::Toml));
         }
         let environment = Environment::with_prefix(PREFIX)
@@ -248,6 +250,19 @@ impl Settings {
         folder.clone_into(&mut self.history.folder);
         folder.clone_into(&mut self.state.beside);
         self.notify.resolve(folder);
+    }
+}
+
+/// Checks that a configuration file is UTF-8. Other encodings are named with their position.
+fn check_encoding(path: &Path) -> Result<(), AppError> {
+    // The reader of the configuration reports a file that cannot be read.
+    let bytes = std::fs::read(path).unwrap_or_default();
+    match decode(bytes) {
+        Ok(_) => Ok(()),
+        Err(wrong) => Err(AppError::WrongEncoding {
+            path: path.to_owned(),
+            wrong,
+        }),
     }
 }
 

@@ -10,17 +10,20 @@ mod particles;
 
 use crate::hysteresis::Constant;
 use crate::information::Information;
-use crate::modes::Modes;
 use crate::parameter::Scales;
 use crate::structure::Structure;
 pub use assumptions::Assumption;
 use finding::find;
 pub use finding::{Finding, Severity, Shift};
 use nalgebra::DMatrix;
+use nalgebra_sparse::{CooMatrix, CsrMatrix};
 use serde::Serialize;
 use spandrel_filter::ProcessModel;
 use spandrel_filter::discretise::Series;
 use std::f64::consts::PI;
+
+/// Share of the information of the sensors in the time of an analysis; the findings need the rest.
+const SHARE_OF_INFORMATION: f64 = 0.7;
 
 /// Result of the analysis of a structure.
 #[derive(Debug, Clone, Serialize)]
@@ -137,18 +140,29 @@ impl Structure {
     /// The same `seed` gives the same report.
     #[must_use]
     pub fn check(&self, duration_s: f64, seed: u64) -> CheckReport {
-        let modes = self.nominal_modes();
+        self.check_with_progress(duration_s, seed, &|_| {})
+    }
+
+    /// Analyses the structure like [`Structure::check`], and reports the completed share (0 to 1).
+    #[must_use]
+    pub fn check_with_progress(
+        &self,
+        duration_s: f64,
+        seed: u64,
+        on_share: &dyn Fn(f64),
+    ) -> CheckReport {
         let frames = (duration_s * self.sampling_rate_hz).round().max(1.0) as u64;
-        let information = Information::expected(self, frames, seed);
+        let of_information = |share: f64| on_share(SHARE_OF_INFORMATION * share);
+        let information = Information::expected(self, frames, seed, &of_information);
         let identification =
             information.and_then(|information| self.identification(&information, frames));
-        let time_step = self.time_step(modes.as_ref());
-        let modes = modes
-            .map(|modes| self.mode_reports(&modes))
-            .unwrap_or_default();
+        on_share(SHARE_OF_INFORMATION);
+        let time_step = self.time_step();
+        let modes = self.mode_reports();
         let mut findings = find(self, identification.as_ref(), &time_step, &modes);
         findings.extend(self.particle_findings(&time_step));
         findings.sort_by_key(Finding::severity);
+        on_share(1.0);
         let assumptions = self.assumptions();
         CheckReport {
             structure: self.name.clone(),
@@ -160,20 +174,21 @@ impl Structure {
         }
     }
 
-    fn time_step(&self, modes: Option<&Modes>) -> TimeStepReport {
+    fn time_step(&self) -> TimeStepReport {
         let rate_bound = self.model().rate_bound();
         let series = Series::choose(rate_bound, self.step_s());
         TimeStepReport {
-            highest_frequency_hz: modes.map_or(0.0, Modes::highest) / (2.0 * PI),
+            highest_frequency_hz: self.modes.highest() / (2.0 * PI),
             rate_times_step: rate_bound * self.step_s(),
             substeps: series.substeps,
             series_order: series.order,
         }
     }
 
-    fn mode_reports(&self, modes: &Modes) -> Vec<ModeReport> {
+    fn mode_reports(&self) -> Vec<ModeReport> {
+        let modes = &self.modes;
         let ratios = modes.damping_ratios(&self.system);
-        let derivatives: Vec<DMatrix<f64>> = self
+        let derivatives: Vec<CsrMatrix<f64>> = self
             .parameters
             .iter()
             .map(|p| self.stiffness_derivative(&p.scales))
@@ -184,7 +199,7 @@ impl Structure {
                     .iter()
                     .zip(&derivatives)
                     .map(|(parameter, derivative)| {
-                        let quadratic = modes.quadratic(mode, derivative);
+                        let quadratic = modes.sparse_quadratic(mode, derivative);
                         match parameter.scales {
                             Scales::Mass(_) => -0.5 * quadratic,    // ∂ω²/∂θ = −ω² φᵀ M_θ φ
                             _ => 0.5 * quadratic / (omega * omega), // ∂ω²/∂θ = φᵀ K_θ φ
@@ -208,29 +223,35 @@ impl Structure {
     /// Returns the part of the stiffness or mass matrix that a parameter scales.
     ///
     /// The result is zero for damping and for the other constants of hysteresis.
-    fn stiffness_derivative(&self, scales: &Scales) -> DMatrix<f64> {
+    fn stiffness_derivative(&self, scales: &Scales) -> CsrMatrix<f64> {
         let len = self.system.len();
         match scales {
             Scales::Stiffness(parts) => {
-                let chosen = |part| if parts.contains(&part) { 1.0 } else { 0.0 };
-                let factors: Vec<f64> = (0..self.system.substructures.len()).map(chosen).collect();
-                self.system.stiffness(&factors)
+                let parts = parts.iter().map(|part| &self.system.substructures[*part]);
+                let sum = parts.fold(CsrMatrix::zeros(len, len), |sum, part| {
+                    sum + &part.stiffness
+                });
+                sum * self.system.initial_slope()
             }
             Scales::Mass(dofs) => {
                 let mut mass = self.system.mass.to_dense();
                 for dof in (0..len).filter(|dof| !dofs.contains(dof)) {
                     mass[(dof, dof)] = 0.0;
                 }
-                mass
+                sparse(&mass)
             }
-            Scales::Hysteresis(Constant::A) => self.system.nominal_stiffness(),
+            Scales::Hysteresis(Constant::A) => sparse(&self.system.nominal_stiffness()),
             Scales::Damping
             | Scales::DampingAlpha
             | Scales::DampingBeta
             | Scales::Dashpots(_)
-            | Scales::Hysteresis(_) => DMatrix::zeros(len, len),
+            | Scales::Hysteresis(_) => CsrMatrix::zeros(len, len),
         }
     }
+}
+
+fn sparse(matrix: &DMatrix<f64>) -> CsrMatrix<f64> {
+    CsrMatrix::from(&CooMatrix::from(matrix))
 }
 
 #[cfg(test)]

@@ -99,7 +99,7 @@ impl Structure {
     }
 
     fn common_motion(&self, directions: &[&Vec<f64>], own: usize) -> Option<CommonMotion> {
-        let modes = self.nominal_modes()?;
+        let modes = &self.modes;
         let influence = DVector::from_column_slice(directions[own]);
         let moved = self.system.mass.to_dense() * &influence;
         let total = moved.dot(&influence);

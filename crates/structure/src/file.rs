@@ -31,10 +31,12 @@ use crate::judge_plan::JudgedStructure;
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::section::{Allowed, Section, short};
 use crate::structure::Structure;
+use model::ModelRead;
 use node::ChannelRead;
 use spandrel_filter::NoiseRule;
 use std::ops::RangeInclusive;
 use std::path::Path;
+use std::sync::Arc;
 use toml::Spanned;
 use toml::de::DeTable;
 
@@ -149,10 +151,14 @@ impl<'t> StructureFile<'t> {
     fn read(&self, diagnostics: &Diagnostics<'_>) -> Option<Structure> {
         let mut file = Section::new(self.document.get_ref(), "", 0..0, diagnostics);
         let head = read_head(&mut file);
-        let mut system = file.required_table("model").and_then(model::read_model);
+        let model = file.required_table("model").and_then(model::read_model);
         let damping_section = file.required_table("damping");
         let damping =
-            damping_section.and_then(|section| damping::read_damping(section, system.as_ref()));
+            damping_section.and_then(|section| damping::read_damping(section, model.as_ref()));
+        let (mut system, modes) = match model {
+            Some(ModelRead { system, modes }) => (Some(system), Some(modes)),
+            None => (None, None),
+        };
         let damping_is_known = damping.as_ref().is_some_and(|read| read.is_known);
         let damping = damping.map(|read| read.damping);
         if let (Some(system), Some(damping)) = (&mut system, &damping) {
@@ -251,7 +257,9 @@ impl<'t> StructureFile<'t> {
             .collect();
         let context = alert::Context {
             parameters: (declared == parameters.len()).then_some(&watchable[..]),
-            learn_s: system.map_or(0.0, |system| alert::learning_s(plan.half_life_s, system)),
+            learn_s: modes
+                .as_ref()
+                .map_or(0.0, |modes| alert::learning_s(plan.half_life_s, modes)),
         };
         let alert_rules = alert::read_alerts(&mut file, &context);
         let judge = judge::read_judge(file.table("judge"));
@@ -299,6 +307,7 @@ impl<'t> StructureFile<'t> {
             simulation,
             conditions,
             excitation_errors: ExcitationErrors::default(),
+            modes: Arc::new(modes?),
         })
     }
 }

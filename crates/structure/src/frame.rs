@@ -115,8 +115,7 @@ mod tests {
         let structure = Structure::parse(text, Path::new("bridge.toml"))
             .unwrap_or_else(|error| panic!("{error}"));
         structure
-            .nominal_modes()
-            .unwrap()
+            .modes
             .angular_frequencies
             .iter()
             .map(|omega| omega / (2.0 * PI))

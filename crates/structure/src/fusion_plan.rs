@@ -316,7 +316,7 @@ impl Structure {
     /// The condition holds in every direction, Huang & Yuen (2023), chapter 6. The first modes by
     /// frequency can omit the most important one. Also returns the omitted share of the mass.
     fn modal_basis(&self, asked: Option<usize>) -> Option<(ModalBasis, f64)> {
-        let shapes = self.nominal_modes()?.shapes;
+        let shapes = &self.modes.shapes;
         let mass = self.system.mass.to_dense();
         let all = ModalBasis::new(shapes.clone(), &mass).ok()?;
         let shares: Vec<Vec<f64>> = self

@@ -15,6 +15,7 @@
 
 use crate::linear_form::LinearForm;
 use crate::noise_level::NoiseSource;
+use crate::ritz_basis::RitzBasis;
 use crate::steady_filter::{NoiseCovariances, SteadyFilter};
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
@@ -55,24 +56,38 @@ type Pair = [SteadyFilter; 2];
 
 impl Information {
     /// Simulates `frames` frames of the undamaged structure at its prior means and sums their
-    /// information.
-    pub(crate) fn expected(structure: &Structure, frames: u64, seed: u64) -> Option<Self> {
+    /// information. Reports the completed share (0 to 1) to `on_share`.
+    pub(crate) fn expected(
+        structure: &Structure,
+        frames: u64,
+        seed: u64,
+        on_share: &dyn Fn(f64),
+    ) -> Option<Self> {
         let parameters = (0..structure.parameters.len()).map(Unknown::Parameter);
         let levels = (0..structure.noise_levels.len()).map(Unknown::Level);
         let unknowns: Vec<Unknown> = parameters.clone().chain(levels).collect();
-        let nominal = Moved::new(structure, None);
+        let basis = structure.analysis_basis();
+        let basis = basis.as_ref();
+        let nominal = Moved::new(structure, basis, None);
         let filter = nominal.filter()?;
-        let pair = |unknown| {
+        let pair = |(done, unknown): (usize, Unknown)| {
+            on_share(0.5 * done as f64 / unknowns.len() as f64);
             let [up, down] = [DIFFERENCE, -DIFFERENCE]
-                .map(|by| Moved::new(structure, Some(Change { unknown, by })).filter());
+                .map(|by| Moved::new(structure, basis, Some(Change { unknown, by })).filter());
             Some([up?, down?])
         };
         let held_pair = |unknown| {
             [DIFFERENCE, -DIFFERENCE].map(|by| {
-                Moved::new(structure, Some(Change { unknown, by })).filter_with_update_of(&filter)
+                let change = Some(Change { unknown, by });
+                Moved::new(structure, basis, change).filter_with_update_of(&filter)
             })
         };
-        let mut pairs: Vec<Pair> = unknowns.into_iter().map(pair).collect::<Option<_>>()?;
+        let mut pairs: Vec<Pair> = unknowns
+            .iter()
+            .copied()
+            .enumerate()
+            .map(pair)
+            .collect::<Option<_>>()?;
         let mut held_pairs: Vec<Pair> = parameters.map(held_pair).collect();
         let lower = filter.innovation_covariance.clone().cholesky()?.l();
         let whole: Vec<DMatrix<f64>> = pairs
@@ -87,7 +102,14 @@ impl Information {
             DMatrix::from_fn(a.len(), b.len(), |i, j| 0.5 * a[i].dot(&b[j])) // ½ tr(S⁻¹ A S⁻¹ B)
         };
         let (theta, all) = (held_pairs.len(), pairs.len());
-        let means = Means::simulated(structure, &mut pairs, &mut held_pairs, &lower, frames, seed);
+        let of_frames = |share: f64| on_share(0.5 + 0.5 * share);
+        let simulated = Simulated {
+            structure,
+            frames,
+            seed,
+            on_share: &of_frames,
+        };
+        let means = simulated.means(&mut pairs, &mut held_pairs, &lower);
         let mut counted = DMatrix::zeros(all, all);
         counted
             .view_mut((0, 0), (theta, theta))
@@ -115,7 +137,7 @@ struct Moved {
 }
 
 impl Moved {
-    fn new(structure: &Structure, change: Option<Change>) -> Self {
+    fn new(structure: &Structure, basis: Option<&RitzBasis>, change: Option<Change>) -> Self {
         let mut theta: Vec<f64> = structure
             .parameters
             .iter()
@@ -149,7 +171,7 @@ impl Moved {
                     .for_each(|row| noise.sensors[*row] = variance * every(*row)),
             }
         }
-        let form = LinearForm::new(&mut structure.model(), &theta);
+        let form = LinearForm::moving_in(&mut structure.model(), &theta, basis);
         let recursion = form.recursion(structure.step_s(), &structure.input_holds());
         Self {
             form,
@@ -221,15 +243,25 @@ struct Means {
     pull: DMatrix<f64>,
 }
 
-impl Means {
-    fn simulated(
-        structure: &Structure,
-        pairs: &mut [Pair],
-        held_pairs: &mut [Pair],
-        lower: &DMatrix<f64>,
-        frames: u64,
-        seed: u64,
-    ) -> Self {
+/// The frames over which derivatives are averaged.
+struct Simulated<'s> {
+    structure: &'s Structure,
+    frames: u64,
+    seed: u64,
+    on_share: &'s dyn Fn(f64),
+}
+
+/// Number of frames between two reports of the completed share.
+const FRAMES_PER_REPORT: u64 = 64;
+
+impl Simulated<'_> {
+    fn means(&self, pairs: &mut [Pair], held_pairs: &mut [Pair], lower: &DMatrix<f64>) -> Means {
+        let Self {
+            structure,
+            frames,
+            seed,
+            on_share,
+        } = *self;
         let (rows, all, theta) = (lower.nrows(), pairs.len(), held_pairs.len());
         let mut simulator = structure.undamaged_simulator(seed);
         let split = |values: &[f64]| {
@@ -249,7 +281,10 @@ impl Means {
         let mut derivatives = DMatrix::zeros(rows, all + theta);
         let mut products = DMatrix::zeros(all + theta, all + theta);
         let (mut z, mut known) = split(&simulator.advance_frame().values);
-        for _ in 0..frames {
+        for frame in 0..frames {
+            if frame.is_multiple_of(FRAMES_PER_REPORT) {
+                on_share(frame as f64 / frames as f64);
+            }
             let (next_z, next_known) = split(&simulator.advance_frame().values);
             let every_pair = pairs.iter_mut().chain(held_pairs.iter_mut());
             for (pair, mut column) in every_pair.zip(derivatives.column_iter_mut()) {
@@ -264,7 +299,7 @@ impl Means {
             (z, known) = (next_z, next_known);
         }
         products /= frames as f64 * (2.0 * DIFFERENCE).powi(2);
-        Self {
+        Means {
             held: products.view((0, 0), (all, all)).into_owned(),
             counted: products.view((all, all), (theta, theta)).into_owned(),
             pull: products.view((all, 0), (theta, all)).into_owned(),

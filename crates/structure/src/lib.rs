@@ -88,6 +88,7 @@ mod linear_form;
 mod model;
 mod modes;
 mod of_node;
+mod ritz_basis;
 mod simulator;
 mod sparse_cholesky;
 mod spectral_information;

@@ -4,6 +4,7 @@
 //! `u̇ = A_u u + B_u f`, `z = H u + D f` with `u = [x, ẋ]`: Huang & Yuen (2023), (2.3) to (2.9).
 
 use crate::model::StructureModel;
+use crate::ritz_basis::RitzBasis;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
 
@@ -36,6 +37,16 @@ pub(crate) struct Recursion {
 impl LinearForm {
     /// Extracts the matrices from `model` at given parameters (ratios to nominal).
     pub(crate) fn new(model: &mut StructureModel, theta: &[f64]) -> Self {
+        Self::moving_in(model, theta, None)
+    }
+
+    /// Extracts the matrices of the motion in the shapes of `basis` (r), `x = Φ q`. `2 N_d` is then
+    /// `2 r`. Without a basis, every degree of freedom moves by itself.
+    pub(crate) fn moving_in(
+        model: &mut StructureModel,
+        theta: &[f64],
+        basis: Option<&RitzBasis>,
+    ) -> Self {
         let (len, inputs) = (model.state_len(), model.excitation_len());
         let physical = len - model.parameter_len();
         let mut state = vec![0.0; len];
@@ -43,17 +54,24 @@ impl LinearForm {
         let at_rest = vec![0.0; inputs];
         model.linearise_process(&state, &at_rest);
         model.linearise_observation(&state, &at_rest);
-        let columns = DMatrix::identity(len, physical);
-        let mut system = DMatrix::zeros(len, physical);
+        let columns = match basis {
+            None => DMatrix::identity(len, physical),
+            Some(basis) => twice(&basis.shapes, len),
+        };
+        let mut system = DMatrix::zeros(len, columns.ncols());
         model.jacobian_mul(&columns, &mut system);
         let mut input = DMatrix::zeros(len, inputs);
         model.excitation_matrix(&mut input);
-        let mut observation = DMatrix::zeros(model.observation_len(), physical);
+        let mut observation = DMatrix::zeros(model.observation_len(), columns.ncols());
         model.observation_jacobian_mul(&columns, &mut observation);
         let direct = model.feedthrough().cloned();
+        let moved = |rates: DMatrix<f64>| match basis {
+            None => rates.rows(0, physical).into_owned(),
+            Some(basis) => amplitudes(basis, &rates),
+        };
         Self {
-            system: system.rows(0, physical).into_owned(),
-            input: input.rows(0, physical).into_owned(),
+            system: moved(system),
+            input: moved(input),
             direct: direct.unwrap_or_else(|| DMatrix::zeros(observation.nrows(), inputs)),
             observation,
         }
@@ -110,4 +128,26 @@ impl LinearForm {
             slope,
         }
     }
+}
+
+/// Returns `[Φ, 0; 0, Φ; 0, 0]` with `len` rows.
+fn twice(shapes: &DMatrix<f64>, len: usize) -> DMatrix<f64> {
+    let (free, width) = shapes.shape();
+    let mut columns = DMatrix::zeros(len, 2 * width);
+    for part in 0..2 {
+        let corner = (part * free, part * width);
+        columns.view_mut(corner, (free, width)).copy_from(shapes);
+    }
+    columns
+}
+
+/// Returns the rates of `[q, q̇]` from the rates of `[x, ẋ]`.
+fn amplitudes(basis: &RitzBasis, rates: &DMatrix<f64>) -> DMatrix<f64> {
+    let (width, free) = basis.shares.shape();
+    let mut moved = DMatrix::zeros(2 * width, rates.ncols());
+    for part in 0..2 {
+        let of_part = &basis.shares * rates.rows(part * free, free);
+        moved.rows_mut(part * width, width).copy_from(&of_part);
+    }
+    moved
 }

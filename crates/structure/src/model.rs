@@ -20,7 +20,7 @@ use crate::assembly::Assembly;
 use crate::excitation::Action;
 use crate::hysteresis::{Hysteresis, Slopes};
 use crate::linear_form::LinearForm;
-use crate::linear_system::{Damping, LinearSystem, Mass};
+use crate::linear_system::{Damping, Mass};
 use crate::modes::Modes;
 use crate::parameter::{Parameter, Scales};
 use crate::sparse_cholesky::SparseCholesky;
@@ -191,13 +191,14 @@ impl Fixed {
             forces: system.mass.solve(forces),
             grounds,
             hysteresis: system.hysteresis,
-            bounds: RateBounds::new(system, &structure.parameters),
+            bounds: RateBounds::new(structure),
         }
     }
 }
 
 impl RateBounds {
-    fn new(system: &LinearSystem, parameters: &[Parameter]) -> Self {
+    fn new(structure: &Structure) -> Self {
+        let (system, parameters) = (&structure.system, &structure.parameters);
         // ω² of a pencil with a positive definite mass matrix, as checked when the file was read.
         let largest = |matrix| {
             Modes::new(system.mass.to_dense(), matrix).map_or(0.0, |modes| modes.highest().powi(2))
@@ -212,8 +213,12 @@ impl RateBounds {
                 .iter()
                 .any(|p| matches!(&p.scales, Scales::Dashpots(parts) if parts.contains(&part)))
         };
+        let stiffness = match system.hysteresis {
+            None => structure.modes.highest().powi(2),
+            Some(_) => largest(system.nominal_stiffness() / system.initial_slope()),
+        };
         Self {
-            stiffness: largest(system.nominal_stiffness() / system.initial_slope()),
+            stiffness,
             damping: system.damping.matrix(system.len()).map_or(0.0, largest),
             has_fixed_stiffness: (0..system.substructures.len()).any(|part| !scaled(part)),
             has_fixed_damping: match &system.damping {

@@ -5,6 +5,7 @@
 
 use crate::linear_system::{Damping, LinearSystem};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use nalgebra_sparse::CsrMatrix;
 
 /// The undamped modes of a structure, lowest frequency first.
 #[derive(Debug, Clone)]
@@ -43,11 +44,6 @@ impl Modes {
         })
     }
 
-    /// Solves for the modes of `system` with each substructure scaled by its entry of `factors`.
-    pub(crate) fn of(system: &LinearSystem, factors: &[f64]) -> Option<Self> {
-        Self::new(system.mass.to_dense(), system.stiffness(factors))
-    }
-
     /// Returns `ω_max` (rad/s).
     pub(crate) fn highest(&self) -> f64 {
         self.angular_frequencies.last().copied().unwrap_or(0.0)
@@ -57,6 +53,15 @@ impl Modes {
     pub(crate) fn quadratic(&self, mode: usize, x: &DMatrix<f64>) -> f64 {
         let shape: DVector<f64> = self.shapes.column(mode).into_owned();
         (x * &shape).dot(&shape)
+    }
+
+    /// Returns `φᵀ X φ` of one mode for a symmetric sparse `X`.
+    pub(crate) fn sparse_quadratic(&self, mode: usize, x: &CsrMatrix<f64>) -> f64 {
+        let shape = self.shapes.column(mode);
+        let entries = x.triplet_iter();
+        entries
+            .map(|(row, column, value)| shape[row] * value * shape[column])
+            .sum()
     }
 
     /// Returns the damping ratio `φᵀ C φ / 2ω` of each mode.

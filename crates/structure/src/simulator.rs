@@ -162,18 +162,7 @@ impl Simulator {
         let theta = true_parameters(&plan, &undamaged, 0.0);
         let step_s = structure.step_s();
         let inputs = structure.excitation_channels.len();
-        let start = match amplitude {
-            Amplitude::Any => structure.static_state(&theta),
-            Amplitude::Small => DVector::zeros(2 * structure.system.len()),
-        };
-        let motion = Motion::new(
-            structure.model(),
-            &theta,
-            step_s,
-            structure.input_holds(),
-            amplitude,
-            start,
-        );
+        let motion = Motion::new(structure, &theta, amplitude);
         // Separate streams, so that a dropped sample changes neither the motion nor the noise.
         let random = |stream| {
             let mut random = ChaCha8Rng::seed_from_u64(seed);

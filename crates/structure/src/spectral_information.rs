@@ -308,7 +308,9 @@ mod tests {
     fn spectral_information_agrees_with_that_of_the_innovations() {
         for text in [DEMO, OUTPUT_ONLY] {
             let structure = parse(text);
-            let simulated = Information::expected(&structure, 6000, 1).unwrap().held;
+            let simulated = Information::expected(&structure, 6000, 1, &|_| {})
+                .unwrap()
+                .held;
             let means: Vec<f64> = structure
                 .parameters
                 .iter()

@@ -66,18 +66,20 @@ impl Linearised {
     /// Linearises `structure` at `theta` (ratios to nominal).
     pub(crate) fn new(structure: &Structure, theta: &[f64]) -> Self {
         let mut model = structure.model();
+        let basis = structure.analysis_basis();
+        let basis = basis.as_ref();
         let slope = |parameter: usize, model: &mut _| {
             let mut moved = |by: f64| {
                 let mut theta = theta.to_vec();
                 theta[parameter] += by;
-                LinearForm::new(model, &theta)
+                LinearForm::moving_in(model, &theta, basis)
             };
             difference(moved(DIFFERENCE), &moved(-DIFFERENCE))
         };
         let slopes = (0..theta.len())
             .map(|parameter| slope(parameter, &mut model))
             .collect();
-        let at = LinearForm::new(&mut model, theta);
+        let at = LinearForm::moving_in(&mut model, theta, basis);
         let free = at.system.nrows() / 2;
         let block = |row, column| at.system.view((row, column), (free, free)).into_owned();
         let (rate, restoring, damping) =

@@ -27,6 +27,7 @@ use std::fs::File;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Share of the sensor noise below which the start-up aid counts as faded.
 const ANNEALING_FADED: f64 = 0.01;
@@ -65,6 +66,8 @@ pub struct Structure {
     pub(crate) simulation: SimulationPlan,
     pub(crate) conditions: Vec<Condition>,
     pub(crate) excitation_errors: ExcitationErrors,
+    /// Modes as designed. No clone of a structure changes its mass or stiffness.
+    pub(crate) modes: Arc<Modes>,
 }
 
 /// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than
@@ -381,23 +384,13 @@ impl Structure {
             .filter(|channel| !channel.quantity().is_excitation())
     }
 
-    /// Returns the natural frequencies as designed (Hz), lowest first; empty if they cannot be
-    /// computed.
+    /// Returns the natural frequencies as designed (Hz), lowest first.
     #[must_use]
     pub fn natural_frequencies_hz(&self) -> Vec<f64> {
-        let modes = self
-            .nominal_modes()
-            .map(|modes| modes.angular_frequencies)
-            .unwrap_or_default();
-        modes
-            .iter()
+        let omegas = self.modes.angular_frequencies.iter();
+        omegas
             .map(|omega| omega / (2.0 * std::f64::consts::PI))
             .collect()
-    }
-
-    /// Returns the undamped modes as designed.
-    pub(crate) fn nominal_modes(&self) -> Option<Modes> {
-        Modes::of(&self.system, &vec![1.0; self.system.substructures.len()])
     }
 }
 

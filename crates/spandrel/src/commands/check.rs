@@ -1,7 +1,7 @@
 //! `spandrel check`: reports what a structure and its sensors can identify, before any sensor is
 //! bought, and whether the sensors of a recording agree with each other.
 
-use super::print;
+use super::{print, progress};
 use crate::check_report::CheckPage;
 use crate::cli::CheckArguments;
 use crate::error::AppError;
@@ -10,6 +10,9 @@ use spandrel_structure::Structure;
 
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
+
+/// Number of steps of the progress bar.
+const SHARES: u64 = 1000;
 
 /// Checks a structure file and prints the report. Warnings do not change the exit code.
 ///
@@ -24,7 +27,12 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
             false => page.to_string(),
         });
     }
-    let page = CheckPage::new(&structure, structure.check(arguments.after, SEED));
+    let bar = progress::share_bar(SHARES).with_message("checking");
+    let report = structure.check_with_progress(arguments.after, SEED, &|share| {
+        bar.set_position((share * SHARES as f64) as u64);
+    });
+    bar.finish_and_clear();
+    let page = CheckPage::new(&structure, report);
     print(&match arguments.json {
         true => page.json(),
         false => page.to_string(),

@@ -52,7 +52,7 @@ noise-std = 1e-7
 /// frame.
 #[test]
 fn perfect_sensor_has_the_information_of_the_equation_of_motion() {
-    let information = Information::expected(&parse(OSCILLATOR), 400_000, 1).unwrap();
+    let information = Information::expected(&parse(OSCILLATOR), 400_000, 1, &|_| {}).unwrap();
     let expected = 200.0 / 400.0 / (2.0 * 0.8 * 2.0);
     let found = information.held[(0, 0)];
     // σ_x² over 1000 s: the energy has the correlation time 1/α, hence the relative standard
@@ -70,7 +70,7 @@ fn perfect_sensor_has_the_information_of_the_equation_of_motion() {
 /// A level known from `N` perfect samples has the relative standard deviation `1/√(2N)`.
 #[test]
 fn directly_measured_level_has_the_information_of_a_sample_variance() {
-    let information = Information::expected(&parse(OSCILLATOR), 4000, 1).unwrap();
+    let information = Information::expected(&parse(OSCILLATOR), 4000, 1, &|_| {}).unwrap();
     // ½ per frame for the logarithm of the variance.
     assert!(
         (information.held[(1, 1)] - 0.5).abs() < 0.01,

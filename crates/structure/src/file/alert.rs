@@ -2,7 +2,6 @@
 
 use super::find_name;
 use crate::alert_rule::{AlertRule, Reference};
-use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
 use crate::section::{Allowed, Section};
 use std::f64::consts::PI;
@@ -40,11 +39,11 @@ pub(super) struct Context<'c> {
 }
 
 /// Returns the default learning time (s) of a reference.
-pub(super) fn learning_s(half_life_s: f64, system: &LinearSystem) -> f64 {
-    let modes = Modes::of(system, &vec![1.0; system.substructures.len()]);
+pub(super) fn learning_s(half_life_s: f64, modes: &Modes) -> f64 {
     let first = modes
-        .and_then(|modes| modes.angular_frequencies.first().copied())
-        .filter(|omega| *omega > 0.0);
+        .angular_frequencies
+        .first()
+        .filter(|omega| **omega > 0.0);
     let periods_s = first.map_or(0.0, |omega| LEARN_PERIODS * 2.0 * PI / omega);
     periods_s.max(LEARN_HALF_LIVES * half_life_s)
 }

@@ -1,10 +1,10 @@
 //! Reads `[damping]`.
 
 use super::matrices::{Named, read_symmetric};
+use super::model::ModelRead;
 use crate::diagnostics::counted;
 use crate::linear_system::{Damping, LARGEST_MODEL, LinearSystem, dense};
 use crate::matrix_file::{self, Unusable};
-use crate::modes::Modes;
 use crate::section::{Allowed, Section};
 use crate::shear_building::chain;
 use toml::Spanned;
@@ -28,16 +28,17 @@ pub(super) struct DampingRead {
     pub(super) is_known: bool,
 }
 
-/// Reads `[damping]`; converts a damping ratio to `α` and `β` with the modes of `system` as
+/// Reads `[damping]`; converts a damping ratio to `α` and `β` with the modes of the model as
 /// designed.
 pub(super) fn read_damping(
     mut section: Section<'_>,
-    system: Option<&LinearSystem>,
+    model: Option<&ModelRead>,
 ) -> Option<DampingRead> {
+    let system = model.map(|model| &model.system);
     let kind = section.required_choice("kind", &DAMPING_KINDS)?;
     let is_known = section.flag_or("known", false);
     let damping = match kind.into_inner() {
-        DampingKind::Rayleigh => read_rayleigh(&mut section, system),
+        DampingKind::Rayleigh => read_rayleigh(&mut section, model),
         DampingKind::Dashpots => read_dashpots(&mut section, system),
         DampingKind::Matrix => read_damping_matrix(&mut section, system),
     };
@@ -48,7 +49,7 @@ pub(super) fn read_damping(
     })
 }
 
-fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option<Damping> {
+fn read_rayleigh(section: &mut Section<'_>, model: Option<&ModelRead>) -> Option<Damping> {
     let alpha = section.number("alpha-per-s", Allowed::NOT_NEGATIVE);
     let beta = section.number("beta-s", Allowed::NOT_NEGATIVE);
     let ratio = section.number("ratio", Allowed::INSIDE_UNIT);
@@ -72,9 +73,9 @@ fn read_rayleigh(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Op
             beta_s,
         });
     }
-    let len = system.map_or(LARGEST_MODEL, LinearSystem::len);
+    let len = model.map_or(LARGEST_MODEL, |model| model.system.len());
     let modes = read_modes(section, len)?;
-    rayleigh_of_ratio(system?, ratio?.into_inner(), modes)
+    rayleigh_of_ratio(model?, ratio?.into_inner(), modes)
 }
 
 /// Reads the two modes (from 1) that have the damping ratio; by default the first two.
@@ -102,15 +103,15 @@ fn read_modes(section: &mut Section<'_>, len: usize) -> Option<[usize; 2]> {
 ///
 /// They give both modes (from 1) the damping ratio `ζ`. With a single degree of freedom, both modes
 /// are the same, and each term contributes half of the damping.
-fn rayleigh_of_ratio(system: &LinearSystem, ratio: f64, modes: [usize; 2]) -> Option<Damping> {
-    let solved = Modes::new(system.mass.to_dense(), system.nominal_stiffness())?;
-    let [first, second] = modes.map(|mode| solved.angular_frequencies.get(mode - 1).copied());
+fn rayleigh_of_ratio(model: &ModelRead, ratio: f64, modes: [usize; 2]) -> Option<Damping> {
+    let omegas = &model.modes.angular_frequencies;
+    let [first, second] = modes.map(|mode| omegas.get(mode - 1).copied());
     let (first, second) = (first?, second?);
     let beta_s = 2.0 * ratio / (first + second);
     // β K uses the stiffness of the springs, ω² the stiffness against small motions.
     Some(Damping::Rayleigh {
         alpha_per_s: beta_s * first * second,
-        beta_s: beta_s * system.initial_slope(),
+        beta_s: beta_s * model.system.initial_slope(),
     })
 }
 

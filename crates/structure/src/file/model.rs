@@ -27,8 +27,14 @@ const KINDS: [(&str, Kind); 6] = [
     ("matrices", Kind::Matrices),
 ];
 
+/// A model and its modes, which take seconds for a thousand degrees of freedom.
+pub(super) struct ModelRead {
+    pub(super) system: LinearSystem,
+    pub(super) modes: Modes,
+}
+
 /// Reads `[model]`; the damping of the result is still zero.
-pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
+pub(super) fn read_model(mut section: Section<'_>) -> Option<ModelRead> {
     let kind = section.required_choice("kind", &KINDS)?;
     let system = match kind.into_inner() {
         Kind::ShearBuilding => read_chain(&mut section),
@@ -38,23 +44,26 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<LinearSystem> {
         Kind::Tower => read_tower(&mut section),
         Kind::Matrices => read_matrices(&mut section),
     };
-    let system = system.filter(|system| check_frequencies(&section, system));
+    let model = system.and_then(|system| {
+        let modes = checked_modes(&section, &system)?;
+        Some(ModelRead { system, modes })
+    });
     section.finish();
-    system
+    model
 }
 
-/// Checks that all natural frequencies are finite and positive. Finite inputs do not guarantee
-/// this.
-fn check_frequencies(section: &Section<'_>, system: &LinearSystem) -> bool {
+/// Computes the modes, and checks that all natural frequencies are finite and positive. Finite
+/// inputs do not guarantee this.
+fn checked_modes(section: &Section<'_>, system: &LinearSystem) -> Option<Modes> {
     let modes = Modes::new(system.mass.to_dense(), system.nominal_stiffness());
-    let sound = |modes: Modes| {
+    let is_sound = |modes: &Modes| {
         modes
             .angular_frequencies
             .iter()
             .all(|omega| omega.is_normal())
     };
-    let sound = modes.is_some_and(sound);
-    if !sound {
+    let modes = modes.filter(is_sound);
+    if modes.is_none() {
         let allowed = "must have masses and stiffnesses of real structures";
         section.diagnostics().report(
             section.span(),
@@ -63,5 +72,5 @@ fn check_frequencies(section: &Section<'_>, system: &LinearSystem) -> bool {
             allowed,
         );
     }
-    sound
+    modes
 }

@@ -2,6 +2,8 @@
 
 use crate::linear_form::{LinearForm, Recursion};
 use crate::model::StructureModel;
+use crate::ritz_basis::RitzBasis;
+use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
 
@@ -15,7 +17,8 @@ const RATE_TIMES_SUBSTEP: f64 = 0.1;
 pub(super) enum Amplitude {
     /// The springs follow their law.
     Any,
-    /// The springs are linear, as for small motions.
+    /// The springs are linear, as for small motions. A large model moves in few shapes, as in the
+    /// analysis of its sensors.
     Small,
 }
 
@@ -23,6 +26,8 @@ pub(super) enum Amplitude {
 #[derive(Debug, Clone)]
 pub(super) struct Motion {
     model: StructureModel,
+    /// Shapes of the motion; `None` if every degree of freedom moves by itself.
+    basis: Option<RitzBasis>,
     step_s: f64,
     /// Hold of each excitation component between frames.
     holds: Vec<InputHold>,
@@ -56,22 +61,28 @@ struct Stages {
 }
 
 impl Motion {
-    /// Starts at `state` (2 N_d) with parameters `theta` (ratios to nominal).
-    pub(super) fn new(
-        mut model: StructureModel,
-        theta: &[f64],
-        step_s: f64,
-        holds: Vec<InputHold>,
-        amplitude: Amplitude,
-        state: DVector<f64>,
-    ) -> Self {
+    /// Starts with parameters `theta` (ratios to nominal), at rest, or in equilibrium with the mean
+    /// forces.
+    pub(super) fn new(structure: &Structure, theta: &[f64], amplitude: Amplitude) -> Self {
+        let mut model = structure.model();
+        let (step_s, holds) = (structure.step_s(), structure.input_holds());
+        let basis = match amplitude {
+            Amplitude::Any => None,
+            Amplitude::Small => structure.analysis_basis(),
+        };
         let rule = if model.is_hysteretic() && amplitude == Amplitude::Any {
             Rule::RungeKutta(Stages::new(&mut model, theta, step_s))
         } else {
-            exact(&mut model, theta, step_s, &holds)
+            exact(&mut model, theta, step_s, &holds, basis.as_ref())
+        };
+        let state = match (amplitude, &basis) {
+            (Amplitude::Any, _) => structure.static_state(theta),
+            (Amplitude::Small, None) => DVector::zeros(2 * structure.system.len()),
+            (Amplitude::Small, Some(basis)) => DVector::zeros(2 * basis.shapes.ncols()),
         };
         Self {
             model,
+            basis,
             step_s,
             holds,
             rule,
@@ -89,7 +100,8 @@ impl Motion {
     pub(super) fn set_parameters(&mut self, theta: &[f64]) {
         match &mut self.rule {
             Rule::Exact { .. } => {
-                self.rule = exact(&mut self.model, theta, self.step_s, &self.holds)
+                let basis = self.basis.as_ref();
+                self.rule = exact(&mut self.model, theta, self.step_s, &self.holds, basis)
             }
             Rule::RungeKutta(stages) => stages.theta.copy_from_slice(theta),
         }
@@ -159,8 +171,14 @@ impl Motion {
     }
 }
 
-fn exact(model: &mut StructureModel, theta: &[f64], step_s: f64, holds: &[InputHold]) -> Rule {
-    let form = LinearForm::new(model, theta);
+fn exact(
+    model: &mut StructureModel,
+    theta: &[f64],
+    step_s: f64,
+    holds: &[InputHold],
+    basis: Option<&RitzBasis>,
+) -> Rule {
+    let form = LinearForm::moving_in(model, theta, basis);
     Rule::Exact {
         recursion: form.recursion(step_s, holds),
         observation: form.observation,
