@@ -194,16 +194,21 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     let mut simulation = site.connecting("simulate");
     simulation.args(["--live", "--duration", &DURATION_S.to_string()]);
     let simulation = Process::start(&mut simulation);
-    let readers: Vec<Process> = (0..READERS)
-        .map(|_| Process::start(&mut site.connecting("watch")))
-        .collect();
+    let root = site.keys().root().to_string();
+    let watch = |_| {
+        let mut command = spandrel("watch");
+        command.args(["--root", &root, "--connect", site.endpoint()]);
+        Process::start(command.env("SPANDREL_BUS__MODE", "client"))
+    };
+    let readers: Vec<Process> = (0..READERS).map(watch).collect();
     for reader in &readers {
         reader.wait_for_output("values", |said| said.contains("storey-1"));
     }
     readers.iter().for_each(Process::freeze);
     services.wait_for_log("refused what=\"bus-reader\"");
     simulation.wait().expect_code(0);
-    let frames = 100 * DURATION_S as u64;
+    // The first frame is the first instant of all six nodes.
+    let frames = 100 * DURATION_S as u64 - 50;
     let identify = drops.when_done(Service::Identify, frames).await;
     let ingest = drops.expect(Service::Ingest, "late-samples", 0).await;
     for reason in ["late-samples", "lost-items", "gap-samples"] {

@@ -246,7 +246,7 @@ impl Parties {
     }
 
     /// Reads `Unable to push non droppable network message to SESSION. …` or `RX task failed: HERE =>
-    /// ADDRESS: expired after …`.
+    /// ADDRESS:CONFIGURATION: expired after …`.
     fn read_closed(&self, text: &str) -> Option<Refusal> {
         let closed = |who: String, why: &str| Refusal {
             refused: Refused::BusReader,
@@ -262,7 +262,9 @@ impl Parties {
             .strip_prefix("RX task failed: ")?
             .split_once(": expired after ")?;
         let address = link.rsplit(" => ").next().unwrap_or(link);
-        Some(closed(address.to_owned(), "no sign of life; disconnected"))
+        let end = address.find(":TransportLink").unwrap_or(address.len());
+        let who = address[..end].to_owned();
+        Some(closed(who, "no sign of life; disconnected"))
     }
 
     /// Reads `SERVER: CLIENT. NAME.`
@@ -407,8 +409,8 @@ mod tests {
         let blocked = "Unable to push non droppable network message to ab12. Closing transport!";
         let (refused, who, _) = read(&mut parties, blocked).unwrap();
         assert_eq!((refused, who.as_str()), (Refused::BusReader, "ab12"));
-        let expired = "RX task failed: tcp/127.0.0.1:7447 => tcp/127.0.0.1:40001: expired after \
-                       10000 milliseconds at /x/link.rs:531.";
+        let expired = "RX task failed: tcp/127.0.0.1:7447 => tcp/127.0.0.1:40001:TransportLinkUnicastConfig \
+                       { batch: X }: expired after 10000 milliseconds at /x/link.rs:531.";
         let (refused, who, _) = read(&mut parties, expired).unwrap();
         assert_eq!(
             (refused, who.as_str()),

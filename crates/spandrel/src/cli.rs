@@ -201,6 +201,13 @@ impl Command {
             _ => None,
         }
     }
+
+    /// Returns `true` for a process that many others may connect to. The worker of a node serves its
+    /// own sensor, and must stay small.
+    pub fn serves_many(&self) -> bool {
+        let is_worker = matches!(self, Self::Identify(identify) if !identify.node.is_empty());
+        self.audited().is_some() && !is_worker
+    }
 }
 
 /// Options for joining the bus.

@@ -43,9 +43,9 @@ fn main() -> ExitCode {
     let arguments = cli::Arguments::parse();
     let scope = arguments.command.audited();
     // Before any thread exists, because none survives it.
-    let threads = match scope {
-        Some(_) => zenoh_threads::provide(),
-        None => Ok(()),
+    let threads = match arguments.command.serves_many() {
+        true => zenoh_threads::provide(),
+        false => Ok(()),
     };
     logging::start(arguments.log, arguments.verbose, scope);
     if let Err(error) = threads {

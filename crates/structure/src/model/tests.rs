@@ -2,6 +2,7 @@
 //! structures.
 
 use super::*;
+use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
 use proptest::prelude::*;
 use std::f64::consts::PI;
