@@ -143,6 +143,7 @@ export class Points {
   /** Adds received points and returns the names of the changed series. */
   take(series) {
     const changed = [];
+    const { shown } = this.span;
     for (const [name, { generation, data }] of Object.entries(series)) {
       const entry = this.#series.get(name);
       const newest = data[0].at(-1);
@@ -151,7 +152,7 @@ export class Points {
       else this.#advance(name, newest);
       if (!entry?.columns || !this.span.isLive) continue;
       const last = entry.generation === generation ? (entry.columns[0].at(-1) ?? -Infinity) : -Infinity;
-      if (this.isThin && newest - last < this.span.length_s / this.count) continue;
+      if (this.isThin && newest - last < (shown.max - shown.min) / this.count) continue;
       const more = this.isThin ? data.map((column) => column.slice(-1)) : data;
       entry.columns = entry.generation === generation ? joined(entry.columns, after(more, last)) : more;
       entry.generation = generation;
