@@ -12,6 +12,9 @@ const WITHOUT_RECORDS: &str = "WITHOUT_RECORDS";
 /// Environment variable that names the folder of zenoh-pico, and one that permits skipping its test.
 const ZENOH_PICO: &str = "ZENOH_PICO";
 const WITHOUT_ZENOH_PICO: &str = "WITHOUT_ZENOH_PICO";
+/// Environment variable that names the file axe.min.js, and one that permits skipping its test.
+const AXE: &str = "AXE";
+const WITHOUT_AXE: &str = "WITHOUT_AXE";
 
 /// Prints why a test is skipped. Panics if `REQUIRE_ALL_TESTS` is set.
 #[track_caller]
@@ -55,6 +58,25 @@ pub fn zenoh_pico_or_skip() -> Option<PathBuf> {
     }
     let why = format!("{ZENOH_PICO} does not name the folder of zenoh-pico");
     if std::env::var_os(WITHOUT_ZENOH_PICO).is_some() {
+        println!("skipped: {why}");
+    } else {
+        skip(&why);
+    }
+    None
+}
+
+/// Returns the script of axe-core, which checks the access to a page and is not part of the
+/// repository.
+///
+/// Skips the test if no file is stated. Panics instead if `REQUIRE_ALL_TESTS` is set and
+/// `WITHOUT_AXE` is not.
+#[track_caller]
+pub fn axe_or_skip() -> Option<PathBuf> {
+    if let Some(file) = std::env::var_os(AXE) {
+        return Some(file.into());
+    }
+    let why = format!("{AXE} does not name the file axe.min.js (npm pack axe-core)");
+    if std::env::var_os(WITHOUT_AXE).is_some() {
         println!("skipped: {why}");
     } else {
         skip(&why);

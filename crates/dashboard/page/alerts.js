@@ -1,7 +1,7 @@
 // Alerts of all structures: current alerts, past changes and acknowledgements.
 
 import { h, keyed, setText } from "./dom.js";
-import { STATES, canBeSeen, levelOf, place, time } from "./words.js";
+import { STATES, canBeSeen, levelOf, natural, place, setSentence, time } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement. */
 const NAME_KEY = "spandrel-name";
@@ -68,7 +68,7 @@ export class AlertsPage {
       (!this.structure.value || alert.structure === this.structure.value) &&
       (!this.state.value || alert.state === this.state.value) &&
       (!this.text.value || `${alert.parameter} ${alert.why} ${alert.acknowledged_by ?? ""} ${alert.note ?? ""}`.toLowerCase().includes(this.text.value.toLowerCase()));
-    const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.time_ns - a.time_ns);
+    const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.time_ns - a.time_ns || natural(a.parameter, b.parameter));
     const changes = this.answer.changes.filter(isAsked).slice(0, 200);
     keyed(this.standing, standing, (alert) => `${alert.structure}/${alert.parameter}`, () => this.#make(true), updateAlert);
     keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
@@ -94,8 +94,10 @@ function updateAlert(parts, alert) {
   parts.element.dataset.state = alert.state;
   setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? " (stale: the alert service is gone)" : ""}`);
   setText(parts.who, `${alert.structure} / ${alert.parameter}`);
-  setText(parts.why, alert.why);
-  parts.now.hidden = !alert.now;
+  // The sentence of a normal parameter is as old as its first decision.
+  const isNormal = alert.state === "normal" && alert.now;
+  setSentence(parts.why, isNormal ? `${alert.parameter} is normal by the newest value: ${alert.now}` : alert.why);
+  parts.now.hidden = !alert.now || isNormal;
   setText(parts.now, alert.now ? `By the newest value: ${alert.now}` : "");
   setText(parts.when, time(alert.time_ns / 1e9));
   setText(parts.seen, alert.acknowledged_by ? `Seen by ${alert.acknowledged_by}${alert.note ? `: ${alert.note}` : ""}` : "");
@@ -138,7 +140,7 @@ export class AcknowledgeDialog {
   open(alert) {
     this.alert = alert;
     setText(this.title, `Acknowledge ${alert.structure} / ${alert.parameter}`);
-    setText(this.why, alert.why);
+    setSentence(this.why, alert.why);
     setText(this.told, "Others will see that the alert is being handled. It has no other effect.");
     this.who.value = localStorage.getItem(NAME_KEY) ?? "";
     this.note.value = "";

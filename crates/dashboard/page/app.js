@@ -6,7 +6,7 @@ import { h, setText } from "./dom.js";
 import { letIn, watchSession } from "./entrance.js";
 import { OverviewPage } from "./overview.js";
 import { StructurePage } from "./structure.js";
-import { duration } from "./words.js";
+import { duration, isLocal, showLocal } from "./words.js";
 
 const main = document.getElementById("main");
 const connection = new Connection();
@@ -19,8 +19,8 @@ function route() {
   const parameters = new URLSearchParams(query ?? "");
   if (page?.takes?.(chunks, parameters)) return;
   page?.close?.();
-  const [kind, name] = chunks;
-  if (kind === "structure" && name) page = new StructurePage(connection, name, parameters);
+  const [kind, name, tab] = chunks;
+  if (kind === "structure" && name) page = new StructurePage(connection, name, tab, parameters);
   else if (kind === "alerts") page = new AlertsPage(connection, parameters);
   else if (chunks.length === 0) page = new OverviewPage(connection);
   else page = notThere();
@@ -72,6 +72,24 @@ function showAlerts({ structures }) {
   raisedBefore = raised;
 }
 
+/** Shows which zone the times have. */
+function showZone() {
+  const button = document.getElementById("zone");
+  button.setAttribute("aria-pressed", String(isLocal()));
+  setText(document.getElementById("zone-text"), isLocal() ? "local" : "UTC");
+}
+
+/** Builds the page again, with all times in the other zone. The address keeps what is shown. */
+function switchZone() {
+  showLocal(!isLocal());
+  showZone();
+  page?.close?.();
+  page = null;
+  route();
+}
+
+showZone();
+document.getElementById("zone").addEventListener("click", switchZone);
 connection.on("state", showState);
 connection.on("overview", showAlerts);
 document.getElementById("skip").addEventListener("click", () => main.focus());

@@ -4,9 +4,31 @@
 import { h, s, setAttribute, setText } from "./dom.js";
 import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
 
-/** Size of the drawing in its own units. */
+/** Size of the drawing in its own units, and width of a drawing above the table. */
 const WIDTH = 420;
+const WIDE = 1100;
 const HEIGHT = 360;
+/** Height below which a structure is wide, as a share of its length. */
+const WIDE_BELOW = 0.5;
+/** Windows that are too narrow for a wide drawing. The style sheet has the same limit. */
+const NARROW = "(max-width: 960px)";
+/** Smallest and largest height of a storey, and height of many storeys. */
+const LEAST_STOREY = 12;
+const MOST_STOREY = 58;
+const MOST_STOREYS = 620;
+/** Of many storeys without room for their names, each tenth is named. */
+const EACH = 10;
+/** Smallest width of the storeys, and of the room on each side of them. */
+const LEAST_WIDTH = 90;
+const LEAST_SIDE = 70;
+/** Room above and below the storeys. */
+const ROOM = 42;
+const BELOW = 26;
+/** Width of a character of a name, and height of a name. */
+const CHARACTER = 7;
+const NAME_HEIGHT = 14;
+/** Size of the sign of a sensor. */
+const SIGN = 12;
 const MARGIN = 34;
 /** Minimum height of a part for a name inside (in units of the drawing). */
 const NAMED_FROM = 13;
@@ -22,7 +44,7 @@ const CALLOUT_FROM = 20;
  */
 const WORTH_NAMING = 0.05;
 /** Minimum height of the drawing. Flatter structures are drawn with exaggerated heights. */
-const FLATTEST = 110;
+const FLATTEST = 130;
 /**
  * Maximum number of parameters that are all named. With more, only parts with a finding are named.
  */
@@ -38,6 +60,8 @@ export class Drawing {
   constructor(about, choose) {
     this.choose = choose;
     const { drawing } = about;
+    this.isWide = drawing.form === "members" && isWide(drawing.points);
+    this.width = this.isWide && !matchMedia(NARROW).matches ? WIDE : WIDTH;
     this.svg = s("svg", { class: "drawing", role: "img", viewBox: `0 0 ${WIDTH} ${HEIGHT}` });
     this.svg.append(s("title", {}, `Drawing of ${about.name}, coloured by probability of loss; the adjacent table contains the same values`));
     this.svg.append(hatches());
@@ -57,7 +81,7 @@ export class Drawing {
       const worst = known[0]?.probability_of_loss ?? null;
       const told = probability(worst, known[0]?.rule_credibility);
       found.set(part.name, { worst, told });
-      setAttribute(part.element, "data-step", step(worst));
+      for (const element of [part.element, part.words]) setAttribute(element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "known";
       setText(part.title, `${part.name}: ${part.parameters.length > 0 ? `${names}, probability of loss ${told}` : names}`);
       if (part.label) {
@@ -99,12 +123,18 @@ export class Drawing {
   }
 
   #storeys({ members, points, sensors }) {
-    const bottom = HEIGHT - 26;
-    const storey = Math.min(58, (bottom - 16) / members.length);
-    const [left, width] = [120, 150];
+    const storey = Math.min(MOST_STOREY, Math.max((HEIGHT - ROOM) / members.length, Math.min(LEAST_STOREY, MOST_STOREYS / members.length)));
+    const bottom = storey * members.length + ROOM - BELOW;
+    this.svg.setAttribute("viewBox", `0 0 ${WIDTH} ${bottom + BELOW}`);
+    const abreast = Math.max(0, ...points.map((_, point) => sensors.filter((sensor) => sensor.point === point).length));
+    // The storeys are as wide as the names on both sides permit.
+    const longest = (texts) => Math.max(0, ...texts.map((text) => text.length)) * CHARACTER;
+    const left = Math.max(LEAST_SIDE, longest(members.filter(({ parameters }) => parameters.length > 0).map(({ parts }) => parts[0])) + CALLOUT_FROM + 4);
+    const beside = storey >= NAMED_FROM ? longest(points.map((_, point) => sensors.filter((sensor) => sensor.point === point).map(({ channel }) => channel).join(", "))) : 0;
+    const width = Math.max(LEAST_WIDTH, WIDTH - left - Math.max(LEAST_SIDE, beside + 20) - 15 * abreast);
     const level = (point) => bottom - storey * points[point].y;
     this.svg.append(s("path", { class: "ground", d: `M${left - 20} ${bottom}H${left + width + 6}` }), ...ground(left - 20, left + width + 6, bottom));
-    const abreast = Math.max(0, ...points.map((_, point) => sensors.filter((sensor) => sensor.point === point).length));
+    const names = [];
     const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
     for (const first of members.filter((member) => group(member)[0] === member && member.parameters.length > 0)) {
       const together = group(first);
@@ -115,13 +145,18 @@ export class Drawing {
       }
       const text = s("text", { x: left - CALLOUT_FROM, class: "callout", "dominant-baseline": "central" }, first.parts[0]);
       // To the right of the sensors.
+      const isTenth = members.indexOf(first) % EACH === EACH - 1;
+      if (isTenth) {
+        this.#named.push(y);
+        names.push(s("text", { x: left - 10, y, class: "aside sensor-name", "dominant-baseline": "central" }, first.parts[0]));
+      }
       const value = s("text", { x: left + width + 14 + 15 * abreast, class: "callout beside", "dominant-baseline": "central" });
       const leader = s("path", { class: "leader" });
       const element = s("g", { visibility: "hidden", "data-callout": first.parts[0] }, leader, text, value);
       this.#callouts.push({ element, text, value, leader, y, edge: left, names: together.map((member) => member.parts.join(", ")) });
     }
-    // From the top, so that the lowest storey of a group, which shows the name, is drawn in front.
-    for (const member of members.toReversed()) {
+    const floors = [];
+    for (const member of members) {
       const [y0, y1] = member.ends.map(level);
       const shape = { x: left, y: Math.min(y0, y1), width, height: Math.abs(y0 - y1) };
       const together = group(member);
@@ -131,8 +166,10 @@ export class Drawing {
       const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;
       const name = isNamed ? s("text", { x: left - 10, y: middle, class: "aside", "dominant-baseline": "central" }, member.parts[0]) : null;
       this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (_, told) => told, name);
-      this.svg.append(s("path", { class: storey >= NAMED_FROM || together.at(-1) === member ? "floor" : "floor thin", d: `M${left} ${y1}H${left + width}` }));
+      floors.push(s("path", { class: storey >= NAMED_FROM || together.at(-1) === member ? "floor" : "floor thin", d: `M${left} ${y1}H${left + width}` }));
     }
+    // Texts are in front of the floors, so that no line crosses them.
+    this.svg.append(...floors, ...names, ...this.#parts.map(({ words }) => words));
     this.svg.append(...this.#callouts.map(({ element }) => element));
     this.#placeSensors(sensors, (point, count) => [left + width + 16 + 15 * count, level(point)], storey >= NAMED_FROM ? 1 : 0);
   }
@@ -141,19 +178,20 @@ export class Drawing {
     const xs = points.map((point) => point.x);
     const ys = points.map((point) => point.y);
     const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-    const scale = Math.min((WIDTH - 2 * MARGIN) / (x1 - x0 || 1), (HEIGHT - 2 * MARGIN) / (y1 - y0 || 1));
+    const scale = Math.min((this.width - 2 * MARGIN) / (x1 - x0 || 1), (HEIGHT - 2 * MARGIN) / (y1 - y0 || 1));
     const lying = (y1 - y0) * scale;
     const upwards = lying > 0 && lying < FLATTEST ? (scale * FLATTEST) / lying : scale;
     if (upwards > 1.5 * scale) this.note = `Heights are drawn ${(upwards / scale).toFixed(0)} times larger than lengths. `;
     const height = Math.min(HEIGHT, (y1 - y0) * upwards + 2 * MARGIN + 20);
-    this.svg.setAttribute("viewBox", `0 0 ${WIDTH} ${height}`);
-    const at = ({ x, y }) => [WIDTH / 2 + (x - (x0 + x1) / 2) * scale, height / 2 - (y - (y0 + y1) / 2) * upwards];
+    this.svg.setAttribute("viewBox", `0 0 ${this.width} ${height}`);
+    const at = ({ x, y }) => [this.width / 2 + (x - (x0 + x1) / 2) * scale, height / 2 - (y - (y0 + y1) / 2) * upwards];
     for (const point of points.filter((point) => point.held)) {
       const [x, y] = at(point);
       this.svg.append(s("path", { class: "support", d: `M${x} ${y}l-7 11h14z` }));
     }
     const named = new Set();
     const labels = [];
+    const taken = [];
     for (const member of members) {
       const [from, to] = member.ends.map((end) => at(points[end]));
       const d = `M${from}L${to}`;
@@ -166,6 +204,7 @@ export class Drawing {
         const isUpright = Math.abs(from[0] - to[0]) < Math.abs(from[1] - to[1]);
         label = s("text", { x: isUpright ? x + 10 : x, y: isUpright ? y + 20 : y - 12, class: isUpright ? "beside" : "above" });
         labels.push(label);
+        taken.push(box(label, name));
       }
       this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], label, (worst, told) => (worst >= 0.5 ? `${name} ${told}` : name), null);
     }
@@ -174,6 +213,33 @@ export class Drawing {
       return [x + 12 * count, y];
     }, 0);
     this.svg.append(...labels);
+    const lines = members.flatMap(({ ends }) => along(at(points[ends[0]]), at(points[ends[1]])));
+    const signs = sensors.filter(({ point }) => point !== null).map(({ point }, index, all) => {
+      const [x, y] = at(points[point]);
+      return around(x + 12 * all.slice(0, index).filter((other) => other.point === point).length, y, SIGN / 2);
+    });
+    this.#nameSensors(sensors, (point) => at(points[point]), [...taken, ...lines, ...signs], height);
+  }
+
+  /** Names the sensors of each point where there is room beside it. */
+  #nameSensors(sensors, at, taken, height) {
+    const drawn = [...new Set(sensors.map(({ point }) => point).filter((point) => point !== null))];
+    for (const point of drawn) {
+      const here = sensors.filter((sensor) => sensor.point === point);
+      const text = here.map(({ channel }) => channel).join(", ");
+      const [x, y] = at(point);
+      const right = x + 12 * (here.length - 1) + 12;
+      const places = [[x + 9, y + 18, "beside"], [right, y, "beside"], [x - 12, y, "aside"], [x - 9, y + 18, "aside"], [right, y - 16, "beside"]];
+      for (const [left, top, side] of places) {
+        const name = s("text", { x: left, y: top, class: `${side} sensor-name`, "dominant-baseline": "central" }, text);
+        const own = box(name, text);
+        const isInside = own.left >= 0 && own.right <= this.width && own.bottom <= height;
+        if (!isInside || taken.some((other) => own.left < other.right && other.left < own.right && own.top < other.bottom && other.top < own.bottom)) continue;
+        taken.push(own);
+        this.svg.append(name);
+        break;
+      }
+    }
   }
 
   #boxes({ points, members, sensors }) {
@@ -188,15 +254,17 @@ export class Drawing {
       const name = s("text", { x: x + width / 2, y: 30, class: "over" }, member.parts.join(", "));
       this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (_, told) => told, name);
     }
+    this.svg.append(...this.#parts.map(({ words }) => words));
     this.#placeSensors(sensors, (point, count) => [left(point) + 10 + 16 * count, 118], 0);
   }
 
   #part(member, shapes, label, text, name) {
     const title = s("title", {});
     const parameter = member.parameters[0];
-    const element = s("g", { class: parameter ? "part" : "part known", "data-part": member.parts.join(" ") }, title, shapes, name, label);
-    if (parameter) element.addEventListener("click", () => this.choose(parameter));
-    this.#parts.push({ element, title, label, text, name: member.parts.join(", "), parameters: member.parameters });
+    const element = s("g", { class: parameter ? "part" : "part known", "data-part": member.parts.join(" ") }, title, shapes);
+    const words = s("g", { class: "words" }, name, label);
+    if (parameter) for (const one of [element, words]) one.addEventListener("click", () => this.choose(parameter));
+    this.#parts.push({ element, words, title, label, text, name: member.parts.join(", "), parameters: member.parameters });
     this.svg.append(element);
   }
 
@@ -217,6 +285,30 @@ export class Drawing {
       this.svg.append(element);
     }
   }
+}
+
+function isWide(points) {
+  const extent = (axis) => Math.max(...points.map((point) => point[axis])) - Math.min(...points.map((point) => point[axis]));
+  return extent("y") < WIDE_BELOW * extent("x");
+}
+
+function around(x, y, size) {
+  return { left: x - size, right: x + size, top: y - size, bottom: y + size };
+}
+
+/** Returns small boxes along a line, which texts avoid. */
+function along([x0, y0], [x1, y1]) {
+  const count = Math.max(1, Math.ceil(Math.hypot(x1 - x0, y1 - y0) / SIGN));
+  return Array.from({ length: count + 1 }, (_, index) => around(x0 + ((x1 - x0) * index) / count, y0 + ((y1 - y0) * index) / count, 2));
+}
+
+/** Returns the approximate edges of a text, before it is in the document. */
+function box(element, text) {
+  const [x, y] = ["x", "y"].map((name) => Number(element.getAttribute(name)));
+  const width = CHARACTER * text.length;
+  const names = element.getAttribute("class");
+  const left = names.includes("above") ? x - width / 2 : names.includes("aside") ? x - width : x;
+  return { left, right: left + width, top: y - NAME_HEIGHT / 2, bottom: y + NAME_HEIGHT / 2 };
 }
 
 /** Creates the hatching of parts with a probable loss, which shows the loss without colour. */

@@ -13,7 +13,8 @@ const GAP = 4;
  * - `row`: row of the label, 0 for the lowest, or -1 if there is no room for the label
  * - `from`, `to`: ends of the label (px)
  *
- * Earlier marks have priority. A mark without a label still shows its time by its line.
+ * Earlier marks have priority. A mark without a label still shows its time by its line. Marks with
+ * the same text that are closer than their label share one label, which states their number.
  */
 export function flags(marks, { min, max }, width, measure) {
   if (!(max > min)) return [];
@@ -22,10 +23,20 @@ export function flags(marks, { min, max }, width, measure) {
     .map((mark) => ({ ...mark, at: ((mark.x - min) / (max - min)) * width, row: -1 }));
   const placed = [];
   for (const flag of seen) {
+    const same = placed.find((other) => other.text === flag.text && Math.abs(other.at - flag.at) < 2 * GAP + measure(flag.text));
+    if (same) {
+      same.count += 1;
+      continue;
+    }
     const place = places(flag.at, measure(flag.text), width).find((one) => placed.every((other) => !isInTheWay(flag.at, one, other)));
     if (!place) continue;
-    Object.assign(flag, place);
+    Object.assign(flag, place, { count: 1 });
     placed.push(flag);
+  }
+  for (const flag of placed.filter(({ count }) => count > 1)) {
+    const told = `${flag.text} ×${flag.count}`;
+    const wider = places(flag.at, measure(told), width).find((one) => placed.every((other) => other === flag || !isInTheWay(flag.at, one, other)));
+    if (wider) Object.assign(flag, wider, { text: told });
   }
   const used = [...new Set(placed.map(({ row }) => row))].sort((a, b) => a - b);
   for (const flag of placed) flag.row = used.indexOf(flag.row);

@@ -1,26 +1,47 @@
 // All structures, the most urgent first.
 
 import { h, keyed, setText } from "./dom.js";
-import { LEVELS, STATES, duration, fitWord, lag, percent, place, probability, ratio, time } from "./words.js";
+import { searchField } from "./search.js";
+import { Sparklines } from "./sparklines.js";
+import { LEVELS, SEARCH_ABOVE, STATES, duration, fitWord, lag, percent, place, probability, ratio, setSentence, time } from "./words.js";
 
 export class OverviewPage {
   constructor(connection) {
     this.connection = connection;
     this.summary = h("p", { class: "summary" }, "Loading …");
     this.list = h("ul", { class: "structures" });
-    this.element = h("div", { class: "overview" }, h("h1", {}, "Structures"), this.summary, this.list);
+    this.none = h("p", { class: "empty", hidden: true }, "No structure matches the search.");
+    this.tools = h("div", { class: "tools" });
+    this.element = h("div", { class: "overview" }, h("h1", {}, "Structures"), this.summary, this.tools, this.list, this.none);
+    this.lines = new Sparklines();
     connection.listen(null);
     this.leave = connection.on("overview", (message) => this.show(message));
   }
 
   close() {
     this.leave();
+    this.lines.close();
   }
 
   show({ structures }) {
     setText(this.summary, summary(structures));
     this.summary.dataset.level = structures[0]?.level ?? "learning";
-    keyed(this.list, structures, (structure) => structure.name, makeCard, updateCard);
+    // Only many structures need a search and short cards.
+    this.search ??= searchField(structures.length, "Find a structure", () => this.show({ structures: this.structures }));
+    if (this.search.element && !this.search.element.parentElement) this.tools.append(this.search.element);
+    this.structures = structures;
+    this.list.classList.toggle("is-many", structures.length > SEARCH_ABOVE);
+    const found = structures.filter(({ name, description, sentence }) => this.search.finds(`${name} ${description} ${sentence}`));
+    this.none.hidden = found.length > 0 || structures.length === 0;
+    const make = (structure) => {
+      const card = makeCard(structure);
+      this.lines.watch(card.trend, structure.name);
+      return card;
+    };
+    keyed(this.list, found, (structure) => structure.name, make, (card, structure) => {
+      updateCard(card, structure);
+      this.lines.show(card.trend, structure);
+    });
   }
 }
 
@@ -46,6 +67,8 @@ function makeCard(structure) {
   const sentence = h("p", { class: "sentence" });
   const now = h("p", { class: "now" });
   const stale = h("span", { class: "badge", "data-level": "stale" });
+  const seen = h("span", { class: "badge", "data-level": "notice" });
+  const trend = h("canvas", { class: "trend", role: "img", hidden: true });
   const element = h(
     "li",
     { class: "card structure-card", "data-name": structure.name },
@@ -53,8 +76,10 @@ function makeCard(structure) {
       "div",
       { class: "card-head" },
       h("span", { class: "badge" }, sign, " ", word),
+      seen,
       stale,
       h("h2", {}, h("a", { href: place(structure.name) }, structure.name)),
+      trend,
     ),
     h("p", { class: "description" }, structure.description),
     sentence,
@@ -72,16 +97,17 @@ function makeCard(structure) {
       fact("alert", "Last alert"),
     ),
   );
-  return { element, fields, sign, word, sentence, now, stale };
+  return { element, fields, sign, word, sentence, now, seen, stale, trend };
 }
 
-function updateCard({ element, fields, sign, word, sentence, now, stale }, structure) {
+function updateCard({ element, fields, sign, word, sentence, now, seen, stale }, structure) {
   const level = LEVELS[structure.level];
   element.dataset.level = structure.level;
   setText(sign, level.sign);
   setText(word, level.word);
-  setText(sentence, structure.sentence);
+  setSentence(sentence, structure.sentence);
   showNow(now, structure.now, structure.age_s);
+  showAcknowledged(seen, structure);
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
   setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)} ± ${ratio(worst.std)}` : "–");
@@ -93,7 +119,7 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
   setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
-  setText(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
+  setSentence(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
   const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
   setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");
 }
@@ -105,6 +131,12 @@ function updateCard({ element, fields, sign, word, sentence, now, stale }, struc
 export function showNow(line, now, age_s) {
   line.hidden = !now;
   if (now) setText(line, `${age_s === null || age_s > 3 ? "By the last value" : "Now"}: ${now}`);
+}
+
+/** Shows beside any other level that somebody has acknowledged an active alert. */
+export function showAcknowledged(badge, { acknowledged, level }) {
+  badge.hidden = !acknowledged || level === "notice";
+  if (!badge.hidden) setText(badge, `${LEVELS.notice.sign} ${acknowledged === 1 ? "alert" : `${acknowledged} alerts`} acknowledged`);
 }
 
 /** Shows beside any other level that no new data arrives. */

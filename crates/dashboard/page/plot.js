@@ -3,7 +3,7 @@
 
 import { h, s, setText } from "./dom.js";
 import { flags } from "./marks.js";
-import { clock, isWithoutDate, recordTime } from "./words.js";
+import { clock, isLocal, isWithoutDate, moment, recordTime, zone } from "./words.js";
 
 /* global uPlot */
 
@@ -40,6 +40,7 @@ export class Plot {
   #isSeen = false;
   #isDirty = true;
   #wasFetched = false;
+  #wasTried = false;
 
   /**
    * `plot` has these fields:
@@ -85,9 +86,27 @@ export class Plot {
 
   /** Refetches the data after a change of the span. */
   restart() {
-    this.#wasFetched = false;
+    this.#wasFetched = this.#wasTried = false;
     this.#isDirty = true;
-    if (this.#isSeen) this.#fetch();
+    if (this.#isSeen) this.fetch();
+  }
+
+  /** Stops all work while the tab is hidden. */
+  hide() {
+    this.seen.disconnect();
+    this.#isSeen = this.#wasFetched = this.#wasTried = false;
+    this.#isDirty = true;
+  }
+
+  /** Starts work again. The observer reports at once whether the plot is in the window. */
+  show() {
+    this.seen.disconnect();
+    this.seen.observe(this.element);
+  }
+
+  /** Whether the data of the span has not been requested. */
+  get isUnfetched() {
+    return !this.#wasTried;
   }
 
   /** Redraws after a change of the colours. */
@@ -105,7 +124,12 @@ export class Plot {
 
   /** Draws if there is new data and the plot is visible. */
   draw() {
-    if (!this.#isSeen || !this.#isDirty || this.holder.clientWidth === 0) return;
+    if (this.#isSeen && this.#isDirty) this.drawNow();
+  }
+
+  /** Draws the plot even if it is outside the window, as for a print. */
+  drawNow() {
+    if (this.holder.clientWidth === 0) return;
     this.#isDirty = false;
     const data = this.#data();
     const isEmpty = !data || data[0].length === 0;
@@ -161,12 +185,14 @@ export class Plot {
 
   #see(isSeen) {
     this.#isSeen = isSeen;
-    if (isSeen && !this.#wasFetched) this.#fetch();
+    if (isSeen && !this.#wasTried) this.fetch();
     if (isSeen) this.draw();
   }
 
-  #fetch() {
+  /** Requests the data of the span. */
+  fetch() {
     this.#wasFetched = false;
+    this.#wasTried = true;
     this.points.fetch(this.plot.names).catch(() => false).then((came) => {
       this.#wasFetched = came;
       this.#isDirty = true;
@@ -202,11 +228,11 @@ export class Plot {
       height: HEIGHT,
       padding: [(u) => this.#room(u), null, null, null],
       legend: { show: false },
-      tzDate: (seconds) => uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC"),
+      tzDate: (seconds) => (isLocal() ? new Date(1000 * seconds) : uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC")),
       cursor: { sync: { key: "span" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: { x: { time: true }, y: { range: this.plot.range ?? padded } },
       axes: [
-        { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : "time (UTC)"), labelSize: 18 },
+        { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
         { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
@@ -250,7 +276,7 @@ export class Plot {
     const flags = this.#flags(u);
     ctx.save();
     ctx.font = `${WORD_SIZE * size}px system-ui, sans-serif`;
-    [ctx.textAlign, ctx.textBaseline, ctx.lineJoin] = ["left", "alphabetic", "round"];
+    [ctx.textAlign, ctx.textBaseline] = ["left", "alphabetic"];
     const line = (colour, dash, from, to) => {
       [ctx.strokeStyle, ctx.lineWidth] = [colour, 1.5 * size];
       ctx.setLineDash(dash.map((length) => length * size));
@@ -259,15 +285,15 @@ export class Plot {
       ctx.lineTo(...to);
       ctx.stroke();
     };
-    // With an outline, so that the text is legible on lines and bands.
+    // On a plate, so that no line strikes through the text.
     const write = (text, x, y, colour) => {
-      ctx.setLineDash([]);
-      [ctx.strokeStyle, ctx.lineWidth] = [css("--card"), 4 * size];
-      ctx.strokeText(text, x, y);
+      ctx.fillStyle = css("--card");
+      if (text) ctx.fillRect(x - 2 * size, y - 11 * size, ctx.measureText(text).width + 4 * size, 14 * size);
       ctx.fillStyle = colour;
       ctx.fillText(text, x, y);
     };
     const [left, right, bottom] = [bbox.left, bbox.left + bbox.width, bbox.top + bbox.height];
+    const texts = [];
     for (const mark of this.plot.marks?.() ?? []) {
       if (mark.y === undefined) continue;
       const y = u.valToPos(mark.y, "y", true);
@@ -275,11 +301,12 @@ export class Plot {
       const colour = css(mark.colour ?? "--ink-soft");
       line(colour, [6, 4], [left, y], [right, y]);
       const isHigh = y < bbox.top + 16 * size;
-      write(mark.text, left + 6 * size, isHigh ? y + 14 * size : y - 4 * size, colour);
+      texts.push([mark.text, left + 6 * size, isHigh ? y + 15 * size : y - 5 * size, colour]);
     }
     // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);
-    for (const { text, colour, row, from } of flags.filter(({ row }) => row >= 0)) write(text, left + from * size, bbox.top - (row * WORD_ROW + 4) * size, css(colour));
+    for (const { text, colour, row, from } of flags.filter(({ row }) => row >= 0)) texts.push([text, left + from * size, bbox.top - (row * WORD_ROW + 4) * size, css(colour)]);
+    texts.forEach((text) => write(...text));
     ctx.restore();
   }
 
@@ -319,12 +346,12 @@ function timeTicks(splits, step) {
   if (splits.length > 0 && isWithoutDate(splits.at(-1))) return splits.map((split) => recordTime(split, step >= 1 ? 0 : step >= 0.1 ? 1 : 3));
   let date = "";
   return splits.map((split) => {
-    const text = new Date(1000 * split).toISOString();
-    if (step >= 28 * 86400) return text.slice(0, 7);
-    if (step >= 86400) return text.slice(0, 10);
-    const time = step >= 60 ? text.slice(11, 16) : step >= 1 ? text.slice(11, 19) : text.slice(11, 23);
-    const isNewDate = text.slice(0, 10) !== date;
-    date = text.slice(0, 10);
+    const { date: day, clock } = moment(split);
+    if (step >= 28 * 86400) return day.slice(0, -3);
+    if (step >= 86400) return day;
+    const time = step >= 60 ? clock.slice(0, 5) : step >= 1 ? clock.slice(0, 8) : clock;
+    const isNewDate = day !== date;
+    date = day;
     return isNewDate ? `${time}\n${date}` : time;
   });
 }

@@ -1,7 +1,7 @@
 // The plots of a structure.
 
 import { COLOURS, Plot, css, look } from "./plot.js";
-import { STATES, number, percent, probability, ratio, unit } from "./words.js";
+import { AXES, STATES, number, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
 const HALF_WIDTHS = [
@@ -30,8 +30,11 @@ const bandFills = () => [
   { series: [7, 6], fill: css("--band-50") },
 ];
 
-/** Creates the plot of a parameter: estimate with bands, threshold, and marks of its alerts. */
-export function parameterPlot(parameter, standing, points, span, id) {
+/**
+ * Creates the plot of a parameter: estimate with bands, threshold, and marks of its alerts. Stiffness
+ * parameters share a `scale`, if there is one.
+ */
+export function parameterPlot(parameter, standing, points, span, scale, id) {
   const [name, lossName] = [`parameter/${parameter.name}`, `loss/${parameter.name}`];
   /** The loss under the alert rule. Undefined without a rule, and while the reference is learnt. */
   const known = () => standing()?.losses[parameter.name];
@@ -48,7 +51,7 @@ export function parameterPlot(parameter, standing, points, span, id) {
       title: parameter.name,
       file: `parameter-${parameter.name}`,
       id,
-      unit: parameter.stiffness ? "stiffness ratio (1)" : "ratio (1)",
+      unit: parameter.stiffness ? AXES.stiffness : AXES.ratio,
       names: [name, lossName],
       rows: (columns) => {
         const estimates = columns.get(name) ?? [[], [], []];
@@ -60,13 +63,14 @@ export function parameterPlot(parameter, standing, points, span, id) {
       // flattening the rest.
       range: (u) => {
         const { min, max } = span.shown;
+        const shown = (range) => (scale && parameter.stiffness ? scale.of(parameter.name, range) : range);
         const seen = (column) => column.filter((value, row) => value !== null && u.data[0][row] >= min && u.data[0][row] <= max);
         const ends = [quantile(seen(u.data[2]), 0.05), quantile(seen(u.data[3]), 0.95), ...seen(u.data[1]).slice(-1), parameter.stiffness ? threshold() : null];
         const finite = ends.filter((end) => end != null);
-        if (finite.length === 0) return [0, 2];
+        if (finite.length === 0) return shown([0.5, 1.5]);
         const [low, high] = [Math.min(...finite), Math.max(...finite)];
         const room = Math.max((high - low) * 0.1, 0.005);
-        return [low - room, high + room];
+        return shown([low - room, high + room]);
       },
       readout: (data, at) => {
         const [low, high] = [data[4][at], data[5][at]];
@@ -99,7 +103,7 @@ function quantile(values, share) {
 /** Creates the plot of a noise level: the variance with bands. */
 export function noisePlot(level, points, span) {
   const name = `noise/${level.name}`;
-  const square = level.unit ? `variance, (${unit(level.unit)})²` : "level ψ (1)";
+  const square = level.unit ? `variance, (${unit(level.unit)})²` : AXES.damping;
   return new Plot(
     {
       title: `Noise of ${level.name}`,
@@ -144,7 +148,7 @@ export function consistencyPlot(points, span) {
     {
       title: "Normalised innovation squared",
       file: "consistency",
-      unit: "per channel (1)",
+      unit: AXES.consistency,
       names: ["consistency/all"],
       rows: (columns) => columns.get("consistency/all"),
       series: () => [line(2, { dash: [], width: 1.5 })],
@@ -203,7 +207,7 @@ export function classPlot(classes, points, span) {
       title: "Plausibility of the model classes",
       file: "classes",
       legend: classes.map((name, index) => ({ name, colour: `${COLOURS[index % COLOURS.length]}-fill` })),
-      unit: "plausibility (1)",
+      unit: AXES.plausibility,
       names,
       rows: (columns) => stacked(names.map((name) => columns.get(name))),
       // Drawn from the top, so that the first class is in front.
@@ -239,7 +243,7 @@ export function nodePlot(nodes, points, span) {
       title: "Nodes: distance from the others",
       file: "nodes",
       legend: nodes.map((name, index) => ({ name, ...look(index) })),
-      unit: "distance (1)",
+      unit: AXES.distance,
       names,
       rows: (columns) => aligned(names.map((name) => columns.get(name))),
       series: () => [...names.map((_, index) => line(index, { width: 1.5 })), { stroke: () => css("--alarm"), width: 2, dash: [6, 4] }],

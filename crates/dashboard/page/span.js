@@ -4,21 +4,24 @@
 const POINTS = 1000;
 /** Number of points above which a series is refetched, combined by the server. */
 const MOST_POINTS = 3000;
+/** Length of a day (s). */
+export const DAY_S = 86400;
 /** Selectable lengths (s). */
 export const LENGTHS = [
   [60, "1 min"],
   [600, "10 min"],
   [3600, "1 h"],
-  [86400, "1 day"],
-  [30 * 86400, "1 month"],
-  [365 * 86400, "1 year"],
-  [10 * 365 * 86400, "10 years"],
+  [DAY_S, "1 day"],
+  [30 * DAY_S, "1 month"],
+  [365 * DAY_S, "1 year"],
+  [10 * 365 * DAY_S, "10 years"],
 ];
 
 /** The visible time span: the newest data of a given length, or a fixed range. */
 export class Span {
   #fixed = null;
   #listeners = [];
+  usual_s = 600;
   length_s = 600;
   /** Time of the newest point of any series (s since 1970). */
   newest_s = null;
@@ -72,14 +75,38 @@ export class Span {
   }
 }
 
+/** The range of the y axis that the plots of all stiffness parameters share. */
+export class Scale {
+  #ranges = new Map();
+  /** Whether the plots share one range. Otherwise each has its own. */
+  isCommon = true;
+  /** Whether the shared range has changed since the plots were drawn. */
+  hasChanged = false;
+
+  /** Records the range that a plot needs, and returns the range that it shows. */
+  of(name, own) {
+    if (!this.isCommon) return own;
+    const before = this.shared;
+    this.#ranges.set(name, own);
+    const now = this.shared;
+    this.hasChanged ||= before === null || before[0] !== now[0] || before[1] !== now[1];
+    return now;
+  }
+
+  get shared() {
+    const ranges = [...this.#ranges.values()];
+    return ranges.length > 0 ? [Math.min(...ranges.map(([low]) => low)), Math.max(...ranges.map(([, high]) => high))] : null;
+  }
+}
+
 /** The points of one structure, as far as the visible plots need them. */
 export class Points {
   #series = new Map();
   #hasEstimates = false;
 
-  constructor(structure, span) {
-    this.structure = structure;
-    this.span = span;
+  /** With `isThin`, at most `count` points are kept, also of live data, as for a small plot. */
+  constructor(structure, span, { count = POINTS, isThin = false } = {}) {
+    Object.assign(this, { structure, span, count, isThin });
   }
 
   /** Returns the columns of a series, the time first, or nothing before they have arrived. */
@@ -95,7 +122,7 @@ export class Points {
   /** Refetches the span. Returns whether data has arrived. */
   async fetch(names) {
     for (const name of names) this.#entry(name).asked = true;
-    const response = await fetch(this.#address(names, POINTS));
+    const response = await fetch(this.#address(names, this.count));
     if (!response.ok) {
       for (const name of names) this.#entry(name).asked = false;
       return false;
@@ -116,6 +143,7 @@ export class Points {
   /** Adds received points and returns the names of the changed series. */
   take(series) {
     const changed = [];
+    const { shown } = this.span;
     for (const [name, { generation, data }] of Object.entries(series)) {
       const entry = this.#series.get(name);
       const newest = data[0].at(-1);
@@ -124,7 +152,9 @@ export class Points {
       else this.#advance(name, newest);
       if (!entry?.columns || !this.span.isLive) continue;
       const last = entry.generation === generation ? (entry.columns[0].at(-1) ?? -Infinity) : -Infinity;
-      entry.columns = entry.generation === generation ? joined(entry.columns, after(data, last)) : data;
+      if (this.isThin && newest - last < (shown.max - shown.min) / this.count) continue;
+      const more = this.isThin ? data.map((column) => column.slice(-1)) : data;
+      entry.columns = entry.generation === generation ? joined(entry.columns, after(more, last)) : more;
       entry.generation = generation;
       this.#trim(name, entry);
       changed.push(name);
@@ -132,9 +162,9 @@ export class Points {
     return changed;
   }
 
-  /** Drops a series that no plot shows any more. */
-  forget(name) {
-    this.#series.delete(name);
+  /** Drops all series, because no plot shows them any more. */
+  clear() {
+    this.#series.clear();
   }
 
   #entry(name) {
@@ -185,6 +215,8 @@ function after(columns, time) {
   return first < 0 ? columns.map(() => []) : columns.map((column) => column.slice(first));
 }
 
+/** Appends rows in place, because copying every column ten times a second takes much work. */
 function joined(columns, more) {
-  return columns.map((column, index) => column.concat(more[index]));
+  columns.forEach((column, index) => column.push(...more[index]));
+  return columns;
 }

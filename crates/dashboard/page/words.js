@@ -1,4 +1,9 @@
-// Names of states and formats of numbers.
+// Names of states and formats of numbers. The formats of times and addresses are beside it.
+
+import { duration } from "./time.js";
+
+export * from "./address.js";
+export * from "./time.js";
 
 /** Names and signs of the levels of attention. Sign and word distinguish them without colour. */
 export const LEVELS = {
@@ -10,6 +15,42 @@ export const LEVELS = {
   learning: { sign: "…", word: "Learning" },
   normal: { sign: "✓", word: "Normal" },
 };
+
+/** Names of the tabs of a structure, and the texts above their contents. */
+export const TABS = { now: "Now", parameters: "Parameters", model: "Model", sensors: "Sensors", events: "Events", settings: "Settings" };
+
+/** Titles of the columns of the tables. */
+export const COLUMNS = {
+  parts: ["Part", "State", "Estimate", "95 % interval", "Probability of loss"],
+  sensors: ["Sensor", "Quantity", "Node", "State", "Last sample used", "Compared with the others", "Probability of a fault", "Sampling instant", "Clock", "Rejected"],
+  events: ["Time", "About", "What happened", ""],
+  services: ["Service", "State", "Lag", "Items processed", "Dropped or corrected"],
+  rules: ["Parameters", "Loss", "Probability required", "Duration required"],
+};
+
+/** Titles of the axes. All of these quantities have no unit. */
+export const AXES = {
+  stiffness: "stiffness / design stiffness",
+  ratio: "value / design value",
+  plausibility: "plausibility",
+  distance: "distance from the others",
+  consistency: "per channel",
+  damping: "noise level ψ",
+};
+
+/** Words for a parameter without a state. */
+export const NO_RULE = "– no alert rule";
+export const NOT_STIFFNESS = "not a stiffness";
+
+/** Number of parts or structures above which a search field is shown. */
+export const SEARCH_ABOVE = 12;
+
+const collator = new Intl.Collator("en", { numeric: true });
+
+/** Compares names in their natural order: `storey-2` is before `storey-10`. */
+export function natural(a, b) {
+  return collator.compare(a, b);
+}
 
 /** Names, signs and levels of the states of an alert. */
 export const STATES = {
@@ -134,51 +175,6 @@ export function bytes(count) {
 }
 
 /**
- * Times below this limit belong to a record that starts at 0. It is three years, longer than any
- * record.
- */
-const WITHOUT_DATES_BEFORE_S = 1e8;
-
-/** Formats a duration in words. */
-export function duration(seconds) {
-  const size = Math.abs(seconds);
-  if (size < 1) return `${size.toFixed(1)} s`;
-  if (size < 120) return `${Math.round(size)} s`;
-  if (size < 7200) return `${Math.round(size / 60)} min`;
-  if (size < 48 * 3600) return `${Math.round(size / 3600)} h`;
-  return `${Math.round(size / 86400)} days`;
-}
-
-/** Returns whether a time belongs to a record that starts at 0. */
-export function isWithoutDate(seconds) {
-  return Math.abs(seconds) < WITHOUT_DATES_BEFORE_S;
-}
-
-/**
- * Formats a measurement time in UTC, as in the sentences of alerts, or the time in a record without
- * dates.
- */
-export function time(seconds) {
-  if (isWithoutDate(seconds)) return `${seconds.toFixed(2)} s`;
-  return new Date(1000 * seconds).toISOString().replace("T", " ").replace(/\.\d+Z/, " UTC");
-}
-
-/** Formats the time of day only, or the time in a record without dates. */
-export function clock(seconds) {
-  if (isWithoutDate(seconds)) return time(seconds);
-  return `${new Date(1000 * seconds).toISOString().slice(11, 21)} UTC`;
-}
-
-/** Formats a time in a record without dates in hours, minutes and seconds: 0:01:30. */
-export function recordTime(seconds, digits = 0) {
-  const unit = 10 ** digits;
-  const size = Math.round(Math.abs(seconds) * unit) / unit;
-  const [hours, minutes] = [Math.floor(size / 3600), Math.floor(size / 60) % 60];
-  const rest = (size % 60).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
-  return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
-}
-
-/**
  * Formats the lag of the identification behind the sensors. It has no meaning for a record or a
  * simulation.
  */
@@ -194,22 +190,34 @@ export function sensorName({ channel, quantity, unit: of }) {
   return `${channel} (${quantity.replaceAll("-", " ")}, ${unit(of)})`;
 }
 
-/** What the comparison of a channel with the others shows. */
+/** What the comparison of a channel with the others shows, if it is at fault. */
+const FAULTS = {
+  gain: ({ gain }) => `${number(gain)} times the motion of the others`,
+  sign: () => "opposite sign",
+  delay: ({ delay_s }) => `${Math.abs(1000 * delay_s).toFixed(0)} ms ${delay_s < 0 ? "before" : "after"} the others`,
+  dead: () => "does not follow the others",
+  disturbed: () => "measures something that the others do not",
+};
+
+/** Returns how a channel compares with the others, in the columns of the table of sensors. */
 export function compared(channel) {
-  if (!channel || channel.gain === null) return "";
-  const relation = { gain: `${number(channel.gain)} times the motion of the others`, sign: "opposite sign", delay: `${Math.abs(1000 * channel.delay_s).toFixed(0)} ms ${channel.delay_s < 0 ? "before" : "after"} the others`, dead: "does not follow the others", disturbed: "measures something that the others do not" };
-  if (channel.fault) return `, ${relation[channel.fault]}, probability of a fault ${percent(channel.probability, 0)}`;
-  return channel.state === "sound" ? `, agrees with the others (factor ${channel.gain.toFixed(2)}, delay ${(1000 * channel.delay_s).toFixed(0)} ms)` : "";
+  if (!channel || channel.gain === null) return { relation: "–", fault: "–" };
+  const factor = `factor ${channel.gain.toFixed(2)}, delay ${(1000 * channel.delay_s).toFixed(0)} ms`;
+  return { relation: channel.fault ? FAULTS[channel.fault](channel) : factor, fault: probability(channel.probability) };
 }
 
-/** When the node of a sensor samples relative to the frames. */
-export function offset(clock) {
-  if (!clock) return "";
-  const difference = clock.difference_s ?? 0;
-  if (difference) return `, its clock is ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? "behind" : "ahead of"} most nodes`;
+/**
+ * Returns when the node of a sensor samples relative to the frames, and the state of its clock.
+ * `isReported` states whether ingest reports on clocks at all.
+ */
+export function clockWords(clock, isReported) {
+  if (!clock) return isReported ? { offset: "at the frames", clock: "✓ agrees" } : { offset: "–", clock: "–" };
   const ms = (seconds) => `${(1000 * seconds).toFixed(2)} ms`;
-  const jitter = clock.jitter_s > 0 ? `, time stamps vary by ${ms(clock.jitter_s)}` : "";
-  return `, samples ${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"} the frames${jitter}`;
+  const jitter = clock.jitter_s > 0 ? `, varies by ${ms(clock.jitter_s)}` : "";
+  const offset = `${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"}${jitter}`;
+  const difference = clock.difference_s ?? 0;
+  if (!difference) return { offset, clock: "✓ agrees" };
+  return { offset: "–", clock: `▲ ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? "behind" : "ahead"}` };
 }
 
 /** Returns the level, sign and words of a condition, such as a temperature. */
@@ -223,13 +231,4 @@ export function conditionWords({ name, unit: of, value, age_s, stale, implausibl
 /** Returns a unit with typographic symbols. */
 export function unit(text) {
   return text.replace("m/s2", "m/s²").replace("W/m2", "W/m²").replace("degC", "°C").replace(/^deg$/, "°").replace(/^um$/, "µm").replace("microstrain", "µm/m");
-}
-
-/** Returns the address of a structure's page, optionally with a parameter and a moment. */
-export function place(structure, parameter, seconds) {
-  const query = new URLSearchParams();
-  if (parameter) query.set("parameter", parameter);
-  if (seconds) query.set("at", seconds.toFixed(3));
-  const text = query.toString();
-  return `#/structure/${encodeURIComponent(structure)}${text ? `?${text}` : ""}`;
 }

@@ -61,6 +61,8 @@ pub(crate) struct Overview {
     pub(crate) last_alert: Option<LastAlert>,
     /// Number of raised alerts that are not acknowledged.
     pub(crate) raised: usize,
+    /// Number of active alerts that are acknowledged.
+    pub(crate) acknowledged: usize,
 }
 
 /// The parameter with the highest probability of a stiffness loss.
@@ -137,6 +139,9 @@ pub(crate) fn overview(store: &Store) -> Overview {
         why: alert.why.clone(),
     });
     let raised = unseen(store).count();
+    let acknowledged = alerts_in(store, AlertState::Acknowledged)
+        .chain(alerts_in(store, AlertState::Unconfirmed).filter(|alert| !alert.is_unseen()))
+        .count();
     Overview {
         name: store.about.name.clone(),
         description: store.about.description.clone(),
@@ -153,6 +158,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         monitoring: store.state.monitoring().map(|display| display.state),
         last_alert,
         raised,
+        acknowledged,
     }
 }
 

@@ -73,6 +73,20 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/plots.js", SCRIPT, "../page/plots.js"),
     asset!("/span.js", SCRIPT, "../page/span.js"),
     asset!("/alerts.js", SCRIPT, "../page/alerts.js"),
+    asset!("/address.js", SCRIPT, "../page/address.js"),
+    asset!("/events.js", SCRIPT, "../page/events.js"),
+    asset!("/groups.js", SCRIPT, "../page/groups.js"),
+    asset!("/model.js", SCRIPT, "../page/model.js"),
+    asset!("/now.js", SCRIPT, "../page/now.js"),
+    asset!("/parameters.js", SCRIPT, "../page/parameters.js"),
+    asset!("/ranges.js", SCRIPT, "../page/ranges.js"),
+    asset!("/search.js", SCRIPT, "../page/search.js"),
+    asset!("/sensors.js", SCRIPT, "../page/sensors.js"),
+    asset!("/settings.js", SCRIPT, "../page/settings.js"),
+    asset!("/smalls.js", SCRIPT, "../page/smalls.js"),
+    asset!("/sparklines.js", SCRIPT, "../page/sparklines.js"),
+    asset!("/tabs.js", SCRIPT, "../page/tabs.js"),
+    asset!("/time.js", SCRIPT, "../page/time.js"),
 ];
 
 impl IntoResponse for Asset {

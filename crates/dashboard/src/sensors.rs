@@ -65,6 +65,8 @@ pub(crate) struct SensorState<'s> {
     pub(crate) compared: Option<&'s ChannelHealthDisplay>,
     /// When its node samples, if not at the times of the frames, or if its clock is wrong.
     pub(crate) clock: Option<NodeClock>,
+    /// Measurement time of its last used sample (s since the Unix epoch, UTC).
+    pub(crate) last_used_s: Option<f64>,
 }
 
 /// Returns the state of all channels in frame order.
@@ -76,6 +78,10 @@ pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState<'_>> {
         health: health(store, sensor),
         compared: compared(store, sensor),
         clock: clock(store, sensor),
+        last_used_s: store
+            .used_ns
+            .get(sensor.channel.as_str())
+            .map(|time_ns| *time_ns as f64 / 1e9),
     };
     sensors.map(state).collect()
 }

@@ -5,7 +5,7 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
+    AlertMessage, AlertState, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
     NoiseDisplay, OutlierDisplay, ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
@@ -118,9 +118,22 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
         message,
         stale: store.state.is_alert_stale(name),
         note: store.note(message),
-        now: store.state.present_loss(message),
+        now: present_loss(store, message),
         unwatched: store.state.unwatched(name),
     })
+}
+
+/// Returns the loss by the newest value, if that is newer than the sentence of the alert.
+///
+/// A parameter remains normal without a new sentence, so its sentence is as old as its first
+/// decision.
+fn present_loss(store: &Store, message: &AlertMessage) -> Option<String> {
+    if message.state != AlertState::Normal {
+        return store.state.present_loss(message);
+    }
+    let loss = store.state.losses.get(&message.parameter)?;
+    let is_newer = loss.rule_loss == message.rule_loss && loss.time_ns > message.time_ns;
+    is_newer.then(|| loss.words())
 }
 
 /// Returns the changes of alerts, newest first.

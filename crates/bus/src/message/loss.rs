@@ -52,8 +52,14 @@ impl LossDisplay {
         if !is_open || !is_same || self.time_ns <= alert.time_ns {
             return None;
         }
+        Some(self.words())
+    }
+
+    /// Returns the loss in words: its value, interval and probability.
+    #[must_use]
+    pub fn words(&self) -> String {
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        Some(format!(
+        format!(
             "loss {} ({:.0} % interval {} to {}), more than {} with probability {}",
             percent(self.loss),
             100.0 * self.interval.level,
@@ -61,7 +67,7 @@ impl LossDisplay {
             percent(self.interval.high),
             percent(self.rule_loss),
             self.shown_probability(),
-        ))
+        )
     }
 
     /// Returns the probability of the loss, rounded to the side of the credibility that the rule

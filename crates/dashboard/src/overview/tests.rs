@@ -47,7 +47,8 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
         };
         store.handle(Input::Alert(seen));
     }
-    assert_eq!(overview(&store).level, Level::Stale);
+    let found = overview(&store);
+    assert_eq!((found.level, found.acknowledged), (Level::Stale, 2));
     hear(&mut store, "storey-1", 4, 1.0, 0.001);
     let found = overview(&store);
     assert_eq!(found.level, Level::Notice);

@@ -138,7 +138,7 @@ async fn show_and_collect(
         speed: arguments.speed.into(),
         seed: arguments.seed,
         frames: Some(frames),
-        start_ns: Clock::of_machine().now_ns(),
+        start_ns: Clock::of_machine().now_ns() - head_start_ns(arguments),
         nodes: (0..structure.nodes().len()).collect(),
     };
     let simulation = simulate(bus, structure, keys, &simulation, &no_bar);
@@ -161,6 +161,18 @@ async fn show_and_collect(
         }
         quit = &mut view => quit.map(|()| None),
     }
+}
+
+/// Returns the time by which the demo starts in the past, so that its last sample has the present
+/// time (ns).
+///
+/// A demo at twice real time starts by half of its duration in the past.
+fn head_start_ns(arguments: &DemoArguments) -> i64 {
+    let real_share = match arguments.speed {
+        Speed::Max => 0.0,
+        Speed::Times(factor) => (1.0 / factor).min(1.0),
+    };
+    (arguments.duration * (1.0 - real_share) * 1e9) as i64
 }
 
 async fn collect(

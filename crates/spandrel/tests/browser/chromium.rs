@@ -201,6 +201,12 @@ impl Browser {
         self.call("Emulation.setEmulatedMedia", features).await;
     }
 
+    /// Sets the time zone, such as `Asia/Kathmandu`.
+    pub async fn move_to(&mut self, zone: &str) {
+        let zone = json!({"timezoneId": zone});
+        self.call("Emulation.setTimezoneOverride", zone).await;
+    }
+
     /// Types a text into the focused element.
     pub async fn write(&mut self, text: &str) {
         self.call("Input.insertText", json!({"text": text})).await;
@@ -212,7 +218,9 @@ impl Browser {
             "Tab" => (9, ""),
             "Enter" => (13, "\r"),
             "Home" => (36, ""),
+            "End" => (35, ""),
             "ArrowLeft" => (37, ""),
+            "ArrowRight" => (39, ""),
             "+" => (187, "+"),
             "-" => (189, "-"),
             other => panic!("no such key: {other}"),

@@ -35,7 +35,9 @@ async fn a_temperature_is_shown_plotted_and_marked_when_it_is_overdue() {
     browser.resize(1280, 900).await;
     browser.prefer("light").await;
     browser.open(&services.page).await;
-    browser.evaluate("location.hash = '#/structure/demo'").await;
+    browser
+        .evaluate("location.hash = '#/structure/demo/sensors'")
+        .await;
     let list = "(document.getElementById('conditions')?.textContent ?? '')";
     let empty = format!("{list}.includes('○ deck-temperature: no value yet')");
     browser.wait("a condition without a value", &empty).await;

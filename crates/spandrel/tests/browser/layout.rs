@@ -5,7 +5,7 @@ use super::{Program, browser, free_address};
 use serde_json::Value;
 use std::path::Path;
 
-fn example(name: &str) -> String {
+pub(super) fn example(name: &str) -> String {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../docs/examples")
         .join(name)
@@ -15,7 +15,7 @@ fn example(name: &str) -> String {
 }
 
 /// Starts a demo that keeps running, without its output.
-fn demo(arguments: &[&str]) -> Program {
+pub(super) fn demo(arguments: &[&str]) -> Program {
     let endpoint = format!("tcp/{}", free_address());
     let settings = [
         "--stay",
@@ -67,13 +67,31 @@ async fn labels_of_marks_are_at_their_own_lines() {
         let script = format!(
             "(async () => {{
                 const {{ flags }} = await import('/marks.js');
-                const marks = {moments}.map((x) => ({{ x, text: 'acknowledged' }}));
+                const marks = {moments}.map((x, index) => ({{ x, text: `acknowledge${{index}}` }}));
                 return flags(marks, {{ min: 0, max: 100 }}, 400, (text) => 6 * text.length);
             }})()"
         );
         let placed = browser.evaluate(&script).await;
         check_words(placed.as_array().unwrap(), moments);
     }
+}
+
+/// Regression test: four labels "pending" were stacked above one plot.
+#[tokio::test(flavor = "multi_thread")]
+async fn equal_marks_that_are_close_share_a_label_with_their_number() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    let script = "(async () => {
+        const { flags } = await import('/marks.js');
+        const marks = [50, 51, 52, 90, 53].map((x) => ({ x, text: 'pending' }));
+        const placed = flags(marks, { min: 0, max: 100 }, 400, (text) => 6 * text.length);
+        return placed.filter(({ row }) => row >= 0).map(({ text }) => text);
+      })()";
+    let told = browser.evaluate(script).await;
+    assert_eq!(told, serde_json::json!(["pending ×4", "pending"]));
 }
 
 /// Checks the labels of marks on 400 px. Each must be beside its own line, and on no other line or

@@ -14,8 +14,10 @@
 mod chromium;
 mod conditions;
 mod layout;
+mod mistakes;
 #[path = "../../../../tests/support/skip.rs"]
 mod skip;
+mod workspace;
 
 use chromium::Browser;
 use serde_json::json;
@@ -206,7 +208,10 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
     browser.resize(1280, 900).await;
     browser.prefer("light").await;
     browser
-        .open(&format!("{}#/structure/demo-distributed", demo.page))
+        .open(&format!(
+            "{}#/structure/demo-distributed/sensors",
+            demo.page
+        ))
         .await;
     let cell = |node: &str, column: u64| {
         format!(
@@ -410,7 +415,9 @@ async fn model_classes_and_rejected_samples_are_plotted() {
     ]);
 
     browser.resize(1280, 900).await;
-    browser.open(&format!("{}#/structure/demo", run.page)).await;
+    browser
+        .open(&format!("{}#/structure/demo/model", run.page))
+        .await;
     // A plot is filled only while it is visible.
     let shown = |group: &str| {
         format!(
@@ -428,6 +435,9 @@ async fn model_classes_and_rejected_samples_are_plotted() {
         )
         .await;
     browser.screenshot("classes").await;
+    browser
+        .evaluate("location.hash = '#/structure/demo/sensors'")
+        .await;
     browser.wait("outliers", &shown("outliers")).await;
     let rejected = "document.querySelector('#group-outliers .readout').textContent";
     let shape = r"/^.* · [\d.]+ % of the recent samples · \d+ rejected here$/";
@@ -611,9 +621,9 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
         .await;
     browser.screenshot("structure-dark").await;
     browser.prefer("light").await;
-    // Innovations and noise levels have plots further down the page.
+    // Innovations and noise levels have plots in another tab.
     browser
-        .evaluate("document.querySelector('#group-innovations').scrollIntoView()")
+        .evaluate("document.getElementById('tab-model').click(), document.querySelector('#group-innovations').scrollIntoView()")
         .await;
     browser
         .wait(
@@ -636,6 +646,15 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
         .wait(
             "one minute",
             "document.querySelector('.ranges [aria-pressed=true]').textContent === '1 min'",
+        )
+        .await;
+    browser
+        .evaluate("document.getElementById('tab-parameters').click()")
+        .await;
+    browser
+        .wait(
+            "the plot of storey 2",
+            "document.querySelector('#plot-parameter-storey-2 canvas')",
         )
         .await;
     let csv = "(async () => { const a = document.querySelector('#plot-parameter-storey-2 .files a'); a.addEventListener('click', (e) => e.preventDefault()); a.click(); return (await (await fetch(a.href)).text()).split('\\n'); })()";
@@ -946,7 +965,7 @@ async fn the_page_needs_no_more_resources_after_twenty_minutes_at_24_times_the_d
         .call("Performance.enable", serde_json::json!({}))
         .await;
     browser
-        .open(&format!("{}#/structure/demo", demo.page))
+        .open(&format!("{}#/structure/demo/parameters", demo.page))
         .await;
     browser
         .wait(

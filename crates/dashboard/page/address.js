@@ -1,0 +1,43 @@
+// The address of the page of a structure: the tab, the chosen parameter and the time span.
+
+/** Decimals of a time in the address (ms). */
+const DECIMALS = 3;
+
+/** Returns the address of a structure's page, optionally with a parameter and a moment. */
+export function place(structure, parameter, seconds) {
+  const query = new URLSearchParams();
+  if (parameter) query.set("parameter", parameter);
+  if (seconds) query.set("at", seconds.toFixed(DECIMALS));
+  return address(structure, parameter ? "parameters" : null, query);
+}
+
+/** Returns the address of what a structure's page shows now. */
+export function addressOf({ structure, tab, parameter, span, isOwnScale }) {
+  const query = new URLSearchParams();
+  if (parameter && tab === "parameters") query.set("parameter", parameter);
+  if (!span.isLive) {
+    query.set("from", span.from_s.toFixed(DECIMALS));
+    query.set("to", span.to_s.toFixed(DECIMALS));
+  } else if (span.length_s !== span.usual_s) {
+    query.set("span", span.length_s);
+  }
+  if (isOwnScale) query.set("scale", "own");
+  return address(structure, tab === "now" ? null : tab, query);
+}
+
+function address(structure, tab, query) {
+  const text = query.toString();
+  return `#/structure/${encodeURIComponent(structure)}${tab ? `/${tab}` : ""}${text ? `?${text}` : ""}`;
+}
+
+/**
+ * Returns the time span in an address: `{ from_s, to_s }`, `{ length_s }`, or null. `around_s` is
+ * shown on each side of a moment.
+ */
+export function spanOf(parameters, around_s) {
+  const number = (name) => (parameters.has(name) ? Number(parameters.get(name)) : NaN);
+  const [at, from_s, to_s, length_s] = ["at", "from", "to", "span"].map(number);
+  if (at > 0) return { from_s: at - around_s, to_s: at + around_s };
+  if (Number.isFinite(from_s) && Number.isFinite(to_s) && to_s > from_s) return { from_s, to_s };
+  return length_s > 0 && Number.isFinite(length_s) ? { length_s } : null;
+}

@@ -1,0 +1,40 @@
+// The tab of the events: changes of alerts, and events of sensors, nodes and services, by time.
+
+import { h, keyed, setText } from "./dom.js";
+import { COLUMNS, STATES, place, setSentence, time } from "./words.js";
+
+export class EventsTab {
+  key = "events";
+  hasSpan = false;
+  plots = [];
+
+  constructor(page) {
+    this.page = page;
+    this.rows = h("tbody");
+    this.none = h("p", { class: "group-text" }, "None since the dashboard was started.");
+    const heads = h("tr", {}, COLUMNS.events.map((text) => (text ? h("th", { scope: "col" }, text) : h("td"))));
+    this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Events" }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
+    this.element = h("section", { class: "card" }, h("h2", {}, "Events"), this.none, this.table);
+  }
+
+  update({ events, changes }) {
+    const ofAlert = (change) => {
+      const { sign, word, level } = STATES[change.state];
+      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: `${sign} alert ${word}`, why: change.why, level, parameter: change.parameter };
+    };
+    const ofEvent = ({ time_ns, subject, what, why }) => ({ key: `${subject}/${what}`, time_ns, about: subject, what, why, level: "learning", parameter: null });
+    const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
+    this.none.hidden = all.length > 0;
+    this.table.hidden = all.length === 0;
+    keyed(this.rows, all, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why }, event) => setSentence(why, event.why));
+  }
+
+  #make({ time_ns, about, what, level, parameter }) {
+    const at = time_ns / 1e9;
+    const why = h("p", { class: "why" });
+    const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": `Show ${about} at ${time(at)}` }, "Show");
+    const name = h("strong");
+    setText(name, what);
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, show)), why };
+  }
+}

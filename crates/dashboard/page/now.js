@@ -1,0 +1,75 @@
+// The tab of the present state: the drawing, the parts, and the part that needs attention most.
+
+import { h, keyed, setText } from "./dom.js";
+import { Drawing } from "./drawing.js";
+import { parameterPlot } from "./plots.js";
+import { searchField } from "./search.js";
+import { COLUMNS, NOT_STIFFNESS, NO_RULE, place, probability, ratio, stateOf, step } from "./words.js";
+
+/** Probability of loss from which the plot of a part is shown at the top. */
+const WORTH_SHOWING = 0.05;
+
+export class NowTab {
+  key = "now";
+  hasSpan = true;
+  #worst = null;
+
+  constructor(page) {
+    this.page = page;
+    const { about } = page;
+    this.drawing = new Drawing(about, page.choose);
+    this.rows = h("tbody");
+    this.ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
+    const heads = h("tr", {}, COLUMNS.parts.map((text) => h("th", { scope: "col" }, text)));
+    const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": "Parts" };
+    const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));
+    this.search = searchField(about.parameters.length, "Find a part", () => this.update(page.standing()));
+    this.worst = h("section", { class: "card worst" });
+    const parts = h("section", { class: "card parts" }, h("div", { class: "card-head" }, h("h2", {}, "Parts"), this.search.element), table);
+    this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null);
+  }
+
+  get plots() {
+    return this.#worst ? [this.#worst.plot] : [];
+  }
+
+  /** Shows the plot of the part with the highest probability of loss. */
+  attend({ worst }) {
+    const { about, standing, points, span } = this.page;
+    // Among sound parts the order changes constantly and means nothing.
+    const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (this.#worst?.name ?? about.parameters[0]?.name);
+    const parameter = about.parameters.find((parameter) => parameter.name === name);
+    if (!parameter || this.#worst?.name === name) return;
+    this.#worst?.plot.close();
+    const plot = parameterPlot(parameter, standing, points, span, null, "worst");
+    this.#worst = { name, plot };
+    this.worst.replaceChildren(plot.element);
+  }
+
+  update(standing) {
+    this.drawing.update(standing);
+    const update = (part, parameter) => {
+      const shown = standing.parameters[parameter.name];
+      const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
+      const state = alert ? stateOf(alert) : null;
+      part.element.dataset.level = state?.level ?? "learning";
+      part.state.title = alert?.unwatched?.why ?? "";
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : this.ruled.has(parameter.name) ? "… no decision yet" : NO_RULE);
+      setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
+      setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
+      const loss = standing.losses[parameter.name];
+      const p = parameter.stiffness ? loss?.probability_of_loss : null;
+      setText(part.text, p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility));
+      part.bar.hidden = p === null || p === undefined;
+      part.bar.dataset.step = step(p) ?? "";
+      part.bar.style.setProperty("--share", p ?? 0);
+    };
+    const make = (parameter) => {
+      const [state, mean, interval, text, bar] = [h("td"), h("td", { class: "number" }), h("td", { class: "number" }), h("span", { class: "number" }), h("span", { class: "meter", "aria-hidden": "true" })];
+      const element = h("tr", {}, h("th", { scope: "row" }, h("a", { href: place(this.page.name, parameter.name) }, parameter.name)), state, mean, interval, h("td", {}, bar, text));
+      return { element, state, mean, interval, text, bar };
+    };
+    const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name));
+    keyed(this.rows, found, (parameter) => parameter.name, make, update);
+  }
+}

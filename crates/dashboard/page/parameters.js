@@ -1,0 +1,107 @@
+// The tab of the parameters: a plot of each, or small plots of many with the details of one.
+
+import { h } from "./dom.js";
+import { parameterPlot } from "./plots.js";
+import { searchField } from "./search.js";
+import { SmallPlots } from "./smalls.js";
+
+/** Number of parameters that each have a full plot. */
+const MOST_FULL = 6;
+
+export class ParametersTab {
+  key = "parameters";
+  hasSpan = true;
+  /** Name of the parameter whose details are shown. */
+  chosen = null;
+  #full = [];
+
+  constructor(page) {
+    this.page = page;
+    const { parameters } = page.about;
+    this.own = h("input", { type: "checkbox", onchange: () => this.#rescale() });
+    const scale = h("label", { class: "check" }, this.own, "each plot with its own scale");
+    const isMany = parameters.length > MOST_FULL;
+    const words = isMany ? "Line: estimate; band: 95 % interval; dashed: threshold of the rule. Select a part for details." : "Line: estimate; bands: 50, 95 and 99.7 % intervals. Drag across a plot to zoom all of them.";
+    const text = h("p", { class: "group-text" }, `Ratio to the design: 1 is as designed, 0.9 has lost 10 %. ${words}`);
+    this.search = searchField(parameters.length, "Find a part", () => this.smalls.filter((name) => this.search.finds(name)));
+    this.smalls = isMany ? new SmallPlots(page, (name) => this.#open(name)) : null;
+    this.detail = h("div", { class: "detail", hidden: true });
+    if (!isMany) this.#full = parameters.map((parameter) => this.#plot(parameter));
+    const all = isMany ? this.smalls.element : h("div", { class: "plots" }, this.#full.map(({ element }) => element));
+    this.element = h("section", { class: "group", id: "group-parameters" }, h("h2", { class: "sr-only" }, "Parameters"), h("div", { class: "tools" }, text, scale, this.search.element), this.detail, all);
+  }
+
+  get plots() {
+    return this.#full;
+  }
+
+  /** Names of all series of the tab, for the export. */
+  get names() {
+    return this.page.about.parameters.map(({ name }) => `parameter/${name}`);
+  }
+
+  update(standing) {
+    this.own.checked = !this.page.scale.isCommon;
+    this.smalls?.update(standing);
+  }
+
+  take(series) {
+    this.smalls?.take(series);
+  }
+
+  restart() {
+    this.smalls?.restart();
+  }
+
+  draw() {
+    this.smalls?.draw();
+  }
+
+  /** Shows the parameter in the address. */
+  goto(name) {
+    const parameter = this.page.about.parameters.find((parameter) => parameter.name === name);
+    this.element.querySelectorAll(".plot.is-chosen").forEach((chosen) => chosen.classList.remove("is-chosen"));
+    if (!parameter) return this.#close();
+    this.chosen = name;
+    if (this.smalls) this.#showDetail(parameter);
+    const plot = document.getElementById(`plot-parameter-${name}`);
+    plot?.classList.add("is-chosen");
+    plot?.scrollIntoView({ block: "center" });
+  }
+
+  #open(name) {
+    if (name === this.chosen) this.#close();
+    else this.goto(name);
+    this.page.changed();
+  }
+
+  #close() {
+    this.chosen = null;
+    this.smalls?.mark(null);
+    if (!this.smalls) return;
+    this.#full.forEach((plot) => plot.close());
+    this.#full = [];
+    this.detail.hidden = true;
+    this.detail.replaceChildren();
+  }
+
+  #showDetail(parameter) {
+    this.#close();
+    this.chosen = parameter.name;
+    this.#full = [this.#plot(parameter)];
+    this.detail.hidden = false;
+    this.detail.replaceChildren(this.#full[0].element, h("button", { type: "button", class: "small", onclick: () => this.#open(parameter.name) }, "Close details"));
+    this.smalls.mark(parameter.name);
+  }
+
+  #plot(parameter) {
+    const { standing, points, span, scale } = this.page;
+    return parameterPlot(parameter, standing, points, span, this.smalls ? null : scale);
+  }
+
+  #rescale() {
+    this.page.scale.isCommon = !this.own.checked;
+    this.page.scale.hasChanged = true;
+    this.page.changed();
+  }
+}

@@ -1,0 +1,67 @@
+// The bar that selects the time span of all plots: usual lengths, a free range, and the export.
+
+import { h, setText } from "./dom.js";
+import { LENGTHS } from "./span.js";
+import { duration, fieldOf, isWithoutDate, time, timeOfField } from "./words.js";
+
+export class RangeBar {
+  /** `csv()` returns the address of the visible data of all plots. */
+  constructor(span, csv) {
+    this.span = span;
+    this.buttons = LENGTHS.map(([length, text]) => {
+      const button = h("button", { type: "button", onclick: () => span.live(length) }, text);
+      return { length, button };
+    });
+    this.zoomed = h("button", { type: "button", class: "back", onclick: () => span.live(span.length_s) }, "▶ Back to live");
+    this.text = h("span", { class: "range-text", role: "status" });
+    this.opener = h("button", { type: "button", class: "free", "aria-expanded": "false", "aria-controls": "free-range", onclick: () => this.#toggle() }, "From … to …");
+    this.from = h("input", { type: "datetime-local", step: 1, id: "range-from", required: true });
+    this.to = h("input", { type: "datetime-local", step: 1, id: "range-to", required: true });
+    this.told = h("span", { class: "told", role: "status" });
+    this.form = h(
+      "form",
+      { class: "free-range", id: "free-range", hidden: true, onsubmit: (event) => this.#submit(event) },
+      h("label", { for: "range-from" }, "From"),
+      this.from,
+      h("label", { for: "range-to" }, "to"),
+      this.to,
+      h("button", { type: "submit" }, "Show"),
+      h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, "CSV of all plots"),
+      this.told,
+    );
+    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": "Span of all plots" }, this.buttons.map(({ button }) => button), this.opener, this.zoomed, this.text), this.form);
+    this.update();
+  }
+
+  update() {
+    const { span } = this;
+    for (const { length, button } of this.buttons) button.setAttribute("aria-pressed", String(span.isLive && span.length_s === length));
+    this.zoomed.hidden = span.isLive;
+    this.opener.hidden = isWithoutDate(span.to_s);
+    setText(this.text, this.#words());
+  }
+
+  #toggle() {
+    this.form.hidden = !this.form.hidden;
+    this.opener.setAttribute("aria-expanded", String(!this.form.hidden));
+    if (this.form.hidden) return;
+    const { min, max } = this.span.shown;
+    [this.from.value, this.to.value] = [fieldOf(min), fieldOf(max)];
+    setText(this.told, "");
+    this.from.focus();
+  }
+
+  #submit(event) {
+    event.preventDefault();
+    const [from, to] = [timeOfField(this.from.value), timeOfField(this.to.value)];
+    if (!(to > from)) return setText(this.told, "The end must be after the start.");
+    setText(this.told, "");
+    this.span.fix(from, to);
+  }
+
+  #words() {
+    const { span } = this;
+    const kept = span.lacks ? ` · kept since ${time(span.keptFrom_s)}` : "";
+    return (span.isLive ? "newest data" : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
+  }
+}

@@ -1,0 +1,16 @@
+// A search field for names. It exists only where there are many of them.
+
+import { h } from "./dom.js";
+import { SEARCH_ABOVE } from "./words.js";
+
+/**
+ * Creates a search field for `count` names.
+ *
+ * `element` is null if there are few names. `finds(name)` returns whether a name contains all of
+ * the entered words.
+ */
+export function searchField(count, label, changed) {
+  const input = count > SEARCH_ABOVE ? h("input", { type: "search", class: "search", "aria-label": label, placeholder: label, oninput: () => changed() }) : null;
+  const words = () => (input?.value ?? "").toLowerCase().split(/\s+/).filter(Boolean);
+  return { element: input, finds: (name) => words().every((word) => name.toLowerCase().includes(word)) };
+}

@@ -1,0 +1,196 @@
+// Small plots of many parameters, so that all of them fit a screen. They are drawn once a second,
+// with few points.
+
+import { h, setText } from "./dom.js";
+import { css } from "./plot.js";
+import { Points } from "./span.js";
+import { ratio, stateOf } from "./words.js";
+
+/** Number of points of each parameter. A small plot is about as wide (px). */
+const POINTS = 150;
+/** Interval between two drawings (ms). */
+const DRAW_EVERY_MS = 1000;
+/** Smallest width, and smallest and largest height, of a small plot (px). */
+const NARROWEST = 128;
+const LOWEST = 86;
+const HIGHEST = 230;
+/** Height of the name above a plot, and gap between two plots (px). */
+const HEAD = 26;
+const GAP = 7;
+/** Smallest height that all small plots together may take (px). */
+const LEAST_HEIGHT = 320;
+/** Room below the small plots for their scale (px). */
+const BELOW = 50;
+/** Height from which a plot shows the ends of its scale (px). */
+const LABELLED_FROM = 70;
+/** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
+const HALF_95 = 1.96;
+/** Share of the widest intervals, as at the start, that the scale leaves out. */
+const LEFT_OUT = 0.05;
+/** Smallest margin of the scale above and below the data, as a ratio to the design. */
+const LEAST_ROOM = 0.005;
+
+export class SmallPlots {
+  #parts;
+  #isFetched = false;
+  #drawnAt = 0;
+
+  constructor(page, choose) {
+    this.page = page;
+    this.points = new Points(page.name, page.span, { count: POINTS, isThin: true });
+    this.#parts = page.about.parameters.map((parameter) => {
+      const [value, state, canvas] = [h("span", { class: "value" }), h("span", { class: "state", "aria-hidden": "true" }), h("canvas", { "aria-hidden": "true" })];
+      const element = h("button", { type: "button", class: "small-plot", "aria-pressed": "false", "data-parameter": parameter.name, title: parameter.name, onclick: () => choose(parameter.name) }, h("span", { class: "name" }, parameter.name), state, value, canvas);
+      return { parameter, name: `parameter/${parameter.name}`, element, value, state, canvas };
+    });
+    this.limits = h("p", { class: "group-text", id: "small-scale" });
+    this.grid = h("div", { class: "smalls" }, this.#parts.map(({ element }) => element));
+    this.none = h("p", { class: "empty", hidden: true }, "No part matches the search.");
+    this.element = h("div", {}, this.grid, this.none, this.limits);
+    this.resized = new ResizeObserver(() => this.#arrange());
+    this.resized.observe(this.grid);
+  }
+
+  /** Shows only the parameters whose names `finds` accepts. */
+  filter(finds) {
+    for (const { parameter, element } of this.#parts) element.hidden = !finds(parameter.name);
+    this.none.hidden = this.#shown.length > 0;
+    this.#arrange();
+    this.#drawnAt = 0;
+  }
+
+  /** Marks the parameter whose details are shown. */
+  mark(name) {
+    for (const { parameter, element } of this.#parts) element.setAttribute("aria-pressed", String(parameter.name === name));
+  }
+
+  update(standing) {
+    for (const { parameter, element, value, state } of this.#parts) {
+      const shown = standing.parameters[parameter.name];
+      const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
+      const of = alert ? stateOf(alert) : { level: "learning", sign: "", word: "no decision" };
+      element.dataset.level = of.level;
+      setText(state, of.sign);
+      setText(value, shown ? ratio(shown.mean) : "–");
+      element.setAttribute("aria-label", `${parameter.name}: ${shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "no estimate"}, ${of.word}`);
+    }
+  }
+
+  take(series) {
+    this.points.take(series);
+  }
+
+  /** Fetches all parameters at once. */
+  restart() {
+    this.points.clear();
+    this.#isFetched = false;
+    this.points.fetch(this.#parts.map(({ name }) => name)).catch(() => false).then(() => {
+      this.#isFetched = true;
+      this.#drawnAt = 0;
+    });
+  }
+
+  draw() {
+    if (!this.#isFetched || performance.now() - this.#drawnAt < DRAW_EVERY_MS) return;
+    this.#drawnAt = performance.now();
+    const shown = this.#shown.map((part) => ({ ...part, columns: this.points.columns(part.name) }));
+    const ranges = shown.map((part) => this.#range(part));
+    const { scale } = this.page;
+    const stiff = ranges.filter((range, index) => range && shown[index].parameter.stiffness);
+    const shared = stiff.length > 0 ? [Math.min(...stiff.map(([low]) => low)), Math.max(...stiff.map(([, high]) => high))] : null;
+    const colours = Object.fromEntries(["--line-1", "--band-95", "--alarm", "--grid", "--ink-soft"].map((name) => [name, css(name)]));
+    shown.forEach((part, index) => this.#paint(part, scale.isCommon && part.parameter.stiffness ? shared : ranges[index], colours));
+    setText(this.limits, scale.isCommon && shared ? `Common scale of all stiffnesses: ${ratio(shared[0])} to ${ratio(shared[1])}.` : "Each plot has its own scale.");
+  }
+
+  get #shown() {
+    return this.#parts.filter(({ element }) => !element.hidden);
+  }
+
+  #threshold({ parameter }) {
+    const loss = this.page.standing()?.losses[parameter.name];
+    return loss && parameter.stiffness ? (1 - loss.rule_loss) * loss.reference : null;
+  }
+
+  /** Returns the range that one parameter needs, or null without data. */
+  #range(part) {
+    if (!part.columns || part.columns[0].length === 0) return null;
+    const { min, max } = this.page.span.shown;
+    const [times, means, stds] = part.columns;
+    const seen = times.map((_, row) => row).filter((row) => times[row] >= min && times[row] <= max && means[row] !== null);
+    if (seen.length === 0) return null;
+    const sorted = (sign) => seen.map((row) => means[row] + sign * HALF_95 * stds[row]).sort((a, b) => a - b);
+    const at = Math.round(LEFT_OUT * (seen.length - 1));
+    const ends = [sorted(-1)[at], sorted(1).at(-1 - at), this.#threshold(part)].filter((end) => end !== null);
+    const [low, high] = [Math.min(...ends), Math.max(...ends)];
+    const room = Math.max(0.06 * (high - low), LEAST_ROOM);
+    return [low - room, high + room];
+  }
+
+  #paint(part, range, colours) {
+    const { canvas, columns } = part;
+    const { clientWidth: width, clientHeight: height } = canvas;
+    const size = devicePixelRatio;
+    if (width === 0) return;
+    if (canvas.width !== Math.round(width * size) || canvas.height !== Math.round(height * size)) [canvas.width, canvas.height] = [Math.round(width * size), Math.round(height * size)];
+    const ctx = canvas.getContext("2d");
+    ctx.setTransform(size, 0, 0, size, 0, 0);
+    ctx.clearRect(0, 0, width, height);
+    if (!range) return;
+    const { min, max } = this.page.span.shown;
+    const x = (time) => ((time - min) / (max - min)) * width;
+    const y = (value) => height - ((value - range[0]) / (range[1] - range[0])) * height;
+    const line = (value, colour, dash) => {
+      if (value === null || value < range[0] || value > range[1]) return;
+      ctx.setLineDash(dash);
+      [ctx.strokeStyle, ctx.lineWidth] = [colour, 1];
+      ctx.beginPath();
+      ctx.moveTo(0, y(value));
+      ctx.lineTo(width, y(value));
+      ctx.stroke();
+      ctx.setLineDash([]);
+    };
+    line(1, colours["--grid"], []);
+    const [times, means, stds] = columns;
+    const rows = times.map((_, row) => row).filter((row) => means[row] !== null && times[row] >= min);
+    ctx.fillStyle = colours["--band-95"];
+    ctx.beginPath();
+    for (const row of rows) ctx.lineTo(x(times[row]), y(means[row] - HALF_95 * stds[row]));
+    for (const row of rows.toReversed()) ctx.lineTo(x(times[row]), y(means[row] + HALF_95 * stds[row]));
+    ctx.fill();
+    [ctx.strokeStyle, ctx.lineWidth, ctx.lineJoin] = [colours["--line-1"], 1.5, "round"];
+    ctx.beginPath();
+    for (const row of rows) ctx.lineTo(x(times[row]), y(means[row]));
+    ctx.stroke();
+    line(this.#threshold(part), colours["--alarm"], [4, 3]);
+    if (height < LABELLED_FROM) return;
+    [ctx.fillStyle, ctx.font, ctx.textAlign] = [colours["--ink-soft"], "10px system-ui, sans-serif", "right"];
+    ctx.fillText(ratio(range[1]), width - 1, 9);
+    ctx.fillText(ratio(range[0]), width - 1, height - 2);
+  }
+
+  /** Chooses the number of columns with which the plots fit the window and fill it best. */
+  #arrange() {
+    const width = this.grid.clientWidth;
+    const count = this.#shown.length;
+    if (width === 0 || count === 0) return;
+    const top = this.grid.getBoundingClientRect().top + scrollY;
+    const room = Math.max(innerHeight - top - BELOW, LEAST_HEIGHT);
+    const most = Math.max(1, Math.min(count, Math.floor((width + GAP) / (NARROWEST + GAP))));
+    const choices = Array.from({ length: most }, (_, index) => {
+      const columns = index + 1;
+      const rows = Math.ceil(count / columns);
+      const height = Math.min(Math.max(room / rows - GAP, LOWEST), HIGHEST);
+      // Empty places are lost, and so is what is below the window.
+      const filled = (count / (rows * columns)) * Math.min(rows * (height + GAP), room);
+      return { columns, height, score: rows * (height + GAP) > room + GAP ? filled / 2 - rows : filled };
+    });
+    const best = choices.reduce((best, one) => (one.score > best.score ? one : best));
+    this.grid.style.setProperty("--columns", best.columns);
+    this.grid.style.setProperty("--height", `${Math.floor(best.height - HEAD)}px`);
+    // A name is more important than the value, which the label contains too.
+    this.grid.classList.remove("is-tight");
+    this.grid.classList.toggle("is-tight", this.#shown.some(({ element }) => element.firstChild.scrollWidth > element.firstChild.clientWidth));
+    this.#drawnAt = 0;
+  }
+}

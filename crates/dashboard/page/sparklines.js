@@ -1,0 +1,68 @@
+// The last day of the worst part of each structure, as small lines on the cards. Only visible cards
+// fetch it.
+
+import { css } from "./plot.js";
+import { DAY_S } from "./span.js";
+
+/** Number of points of a line, about one in a quarter of an hour. */
+const POINTS = 96;
+/** Interval after which a line is fetched again (ms). */
+const REFRESH_MS = 300_000;
+/** Smallest span of values that fills the height, as a ratio to the design. */
+const LEAST_SPAN = 0.05;
+
+export class Sparklines {
+  constructor() {
+    this.lines = new Map();
+    // A hidden canvas is never in the window, but the head of its card is.
+    this.seen = new IntersectionObserver((entries) => entries.forEach(({ target, isIntersecting }) => (this.lines.get(target).isSeen = isIntersecting)));
+  }
+
+  close() {
+    this.seen.disconnect();
+  }
+
+  /** Prepares the line of a structure on a card. */
+  watch(canvas, structure) {
+    this.lines.set(canvas.parentElement, { structure, parameter: null, at: -Infinity, isSeen: false });
+    this.seen.observe(canvas.parentElement);
+  }
+
+  /** Shows the line of the worst part, and fetches it if it is old. */
+  show(canvas, { worst, time_s }) {
+    const line = this.lines.get(canvas.parentElement);
+    const isOld = performance.now() - line.at > REFRESH_MS || line.parameter !== worst?.parameter;
+    if (!worst || time_s === null || !line.isSeen || !isOld || document.hidden) return;
+    Object.assign(line, { parameter: worst.parameter, at: performance.now() });
+    this.#fetch(canvas, line, time_s - DAY_S).catch(() => (line.at = -Infinity));
+  }
+
+  async #fetch(canvas, { structure, parameter }, from_s) {
+    const query = new URLSearchParams({ series: `parameter/${parameter}`, points: POINTS, from: from_s });
+    const response = await fetch(`/api/structures/${encodeURIComponent(structure)}/history?${query}`);
+    if (!response.ok) return;
+    const { series } = await response.json();
+    const [times, means] = series[0]?.data ?? [[], []];
+    const rows = times.map((_, row) => row).filter((row) => means[row] !== null);
+    canvas.hidden = rows.length < 2;
+    if (canvas.hidden) return;
+    const values = rows.map((row) => means[row]);
+    canvas.setAttribute("aria-label", `${parameter} over the last day, from ${Math.min(...values).toFixed(3)} to ${Math.max(...values).toFixed(3)} of its design value`);
+    canvas.title = canvas.getAttribute("aria-label");
+    draw(canvas, rows.map((row) => times[row]), values);
+  }
+}
+
+function draw(canvas, times, values) {
+  const [width, height, size] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
+  [canvas.width, canvas.height] = [width * size, height * size];
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const room = Math.max(0, LEAST_SPAN - (high - low)) / 2;
+  const ctx = canvas.getContext("2d");
+  ctx.scale(size, size);
+  [ctx.strokeStyle, ctx.lineWidth, ctx.lineJoin] = [css("--line-1"), 1.5, "round"];
+  ctx.beginPath();
+  const span = times.at(-1) - times[0] || 1;
+  times.forEach((time, index) => ctx.lineTo(1 + ((time - times[0]) / span) * (width - 2), height - 2 - ((values[index] - low + room) / (high - low + 2 * room)) * (height - 4)));
+  ctx.stroke();
+}

@@ -1,0 +1,113 @@
+// Times: the zone in which the page shows them, and all of their formats.
+
+import { h } from "./dom.js";
+
+/** Key of the chosen zone in local storage. */
+const ZONE_KEY = "spandrel-zone";
+/**
+ * Times below this limit belong to a record that starts at 0. It is three years, longer than any
+ * record.
+ */
+const WITHOUT_DATES_BEFORE_S = 1e8;
+/** A date, or a date with a time and a zone, in a sentence. */
+const STAMP = /\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d UTC(?:[+−]\d+(?::\d\d)?)?)?/g;
+
+let local = localStorage.getItem(ZONE_KEY) === "local";
+
+/** Returns whether times are shown in the zone of the browser instead of UTC. */
+export function isLocal() {
+  return local;
+}
+
+/** Selects the zone of the browser, or UTC, for this browser. */
+export function showLocal(isWanted) {
+  local = isWanted;
+  localStorage.setItem(ZONE_KEY, isWanted ? "local" : "utc");
+}
+
+/** Returns whether a time belongs to a record that starts at 0. */
+export function isWithoutDate(seconds) {
+  return Math.abs(seconds) < WITHOUT_DATES_BEFORE_S;
+}
+
+/** Returns the distance of the shown zone from UTC at a time (min). */
+function shift_min(seconds) {
+  return local ? -new Date(1000 * seconds).getTimezoneOffset() : 0;
+}
+
+/** Returns the name of the shown zone at a time: UTC, UTC+1 or UTC+5:30. */
+export function zone(seconds) {
+  const shift = shift_min(seconds);
+  const [hours, minutes] = [Math.floor(Math.abs(shift) / 60), Math.abs(shift) % 60];
+  if (shift === 0) return "UTC";
+  return `UTC${shift < 0 ? "−" : "+"}${hours}${minutes ? `:${String(minutes).padStart(2, "0")}` : ""}`;
+}
+
+/** Returns the date and the time of day, to the millisecond, in the shown zone. */
+export function moment(seconds) {
+  const text = new Date(1000 * (seconds + 60 * shift_min(seconds))).toISOString();
+  return { date: text.slice(0, -14), clock: text.slice(-13, -1) };
+}
+
+/** Formats a measurement time, or the time in a record without dates. */
+export function time(seconds) {
+  if (isWithoutDate(seconds)) return `${seconds.toFixed(2)} s`;
+  const { date, clock: of } = moment(seconds);
+  return `${date} ${of.slice(0, 8)} ${zone(seconds)}`;
+}
+
+/** Formats the time of day only, or the time in a record without dates. */
+export function clock(seconds) {
+  if (isWithoutDate(seconds)) return time(seconds);
+  return `${moment(seconds).clock.slice(0, 10)} ${zone(seconds)}`;
+}
+
+/** Formats a time in a record without dates in hours, minutes and seconds: 0:01:30. */
+export function recordTime(seconds, digits = 0) {
+  const unit = 10 ** digits;
+  const size = Math.round(Math.abs(seconds) * unit) / unit;
+  const [hours, minutes] = [Math.floor(size / 3600), Math.floor(size / 60) % 60];
+  const rest = (size % 60).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
+  return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
+}
+
+/** Formats a time for a field of a form, and reads it back. */
+export function fieldOf(seconds) {
+  const { date, clock: of } = moment(seconds);
+  return `${date}T${of.slice(0, 8)}`;
+}
+
+/** Returns the time in a field of a form (s since 1970), or NaN without one. */
+export function timeOfField(text) {
+  const utc = Date.parse(`${text}Z`) / 1000;
+  return local ? new Date(text).getTime() / 1000 : utc;
+}
+
+/** Formats a duration in words. */
+export function duration(seconds) {
+  const size = Math.abs(seconds);
+  if (size < 1) return `${size.toFixed(1)} s`;
+  if (size < 120) return `${Math.round(size)} s`;
+  if (size < 7200) return `${Math.round(size / 60)} min`;
+  if (size < 48 * 3600) return `${Math.round(size / 3600)} h`;
+  return `${Math.round(size / 86400)} days`;
+}
+
+/**
+ * Shows a sentence with its times in the shown zone. The server writes times in UTC. No time breaks
+ * at the end of a line.
+ */
+export function setSentence(element, text) {
+  const told = `${local} ${text}`;
+  if (element.told === told) return;
+  element.told = told;
+  const pieces = [];
+  let end = 0;
+  for (const { 0: stamp, index } of text.matchAll(STAMP)) {
+    const seconds = Date.parse(stamp.replace(" ", "T").replace(" UTC", "Z")) / 1000;
+    const shown = stamp.endsWith("UTC") && Number.isFinite(seconds) ? time(seconds) : stamp;
+    pieces.push(text.slice(end, index), h("span", { class: "whole" }, shown));
+    end = index + stamp.length;
+  }
+  element.replaceChildren(...pieces, text.slice(end));
+}
