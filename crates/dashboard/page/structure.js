@@ -7,7 +7,7 @@ import { NodeTable } from "./nodes.js";
 import { age, showNow, showStale } from "./overview.js";
 import { classPlot, conditionPlot, consistencyPlot, innovationPlot, nodePlot, noisePlot, outlierPlot, parameterPlot } from "./plots.js";
 import { LENGTHS, Points, Span } from "./span.js";
-import { FITS, HEALTH, LEVELS, canBeSeen, compared, conditionWords, duration, fitWord, lag, number, offset, percent, place, probability, ratio, sensorName, stateOf, step, time } from "./words.js";
+import { FITS, HEALTH, LEVELS, canBeSeen, compared, conditionWords, duration, fitWord, judgementWords, lag, number, offset, percent, place, probability, ratio, sensorName, stateOf, step, time } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -100,6 +100,8 @@ export class StructurePage {
     this.sensorNames = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, `${sensorName(sensor)} of node ${sensor.node}`]));
     this.services = h("tbody");
     this.fit = h("p", { class: "fit", hidden: true });
+    this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
+    this.noJudgement = h("p", { class: "group-text" }, "The service judge has not reported yet.");
     this.groups = {};
     const group = (key, title, text) => {
       const holder = h("div", { class: "plots" });
@@ -118,6 +120,7 @@ export class StructurePage {
       group("innovations", "Innovations", "Observed minus predicted value: minimum and maximum in each interval."),
       group("noise", "Noise levels"),
       group("conditions", "Conditions", "Slow quantities that instruments measure beside the motion. Each value is a point."),
+      h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, "Lasting change"), this.noJudgement, this.judgements),
       h("section", { class: "card", id: "sensors" }, h("h2", {}, "Sensors"), this.sensorList, this.fit),
       h("section", { class: "card" }, h("h2", {}, "Events"), this.noEvents, this.events),
       h("section", { class: "card" }, h("h2", {}, "Services"), h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, ["Service", "State", "Lag", "Done", "Dropped or corrected"].map((text) => h("th", { scope: "col" }, text)))), this.services))),
@@ -229,7 +232,13 @@ export class StructurePage {
     keyed(this.table, this.about.parameters, (parameter) => parameter.name, make, update);
   }
 
-  #showLists({ events, services, sensors, outliers, nodes, fit, conditions }) {
+  #showLists({ events, services, sensors, outliers, nodes, fit, conditions, judgements }) {
+    this.noJudgement.hidden = judgements.length > 0;
+    keyed(this.judgements, judgements, (judgement) => judgement.quantity, () => ({ element: h("li") }), (part, judgement) => {
+      const { level, text } = judgementWords(judgement);
+      part.element.dataset.level = level;
+      setText(part.element, text);
+    });
     keyed(this.conditionList, conditions, (condition) => condition.name, () => ({ element: h("li") }), (part, condition) => {
       const { level, text } = conditionWords(condition);
       part.element.dataset.level = level;
