@@ -327,6 +327,7 @@ mod tests {
         assert_eq!(
             keys("gateway.tower", Right::Put),
             [
+                "spandrel/tower/condition/*",
                 "spandrel/tower/event",
                 "spandrel/tower/sensor/*/samples",
                 "spandrel/tower/status/feed/*"

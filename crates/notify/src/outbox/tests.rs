@@ -388,7 +388,9 @@ fn send(outbox: &mut Outbox, moment: Moment) -> Vec<String> {
                 let lines: Vec<String> = summary.lines.iter().map(short).collect();
                 sent.push(format!("{}: {}", summary.cause, lines.join("; ")));
             }
-            Report::Alert(_) | Report::Monitoring(_) => sent.push(state.to_owned()),
+            Report::Alert(_) | Report::Monitoring(_) | Report::Judgement(_) => {
+                sent.push(state.to_owned());
+            }
         }
     }
     sent
