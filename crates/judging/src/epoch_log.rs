@@ -11,8 +11,9 @@ use spandrel_judge::Epoch;
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
 use spandrel_structure::JudgePlan;
 use std::fmt::Write as _;
-use std::fs::{File, OpenOptions};
+use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{Cursor, ErrorKind, Write as _};
+use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use tracing::{info, warn};
 
@@ -28,6 +29,8 @@ const CHECK_BYTES: usize = 8;
 const MOST_WAITING: usize = 10_000;
 /// Maximum number of files that were set aside.
 const MOST_ASIDE: u32 = 1000;
+/// Permissions of a new folder. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
 const NS_PER_S: i64 = 1_000_000_000;
 
 /// Appends epochs to a file.
@@ -65,6 +68,9 @@ impl EpochLog {
             path: path.clone(),
             source,
         };
+        let mut builder = DirBuilder::new();
+        let created = builder.recursive(true).mode(FOLDER_MODE).create(folder);
+        created.map_err(|error| failed("write", error))?;
         let header = header(plan);
         let text = match std::fs::read(&path) {
             Ok(bytes) => bytes,

@@ -647,8 +647,6 @@ impl ReadingArguments {
 
 #[derive(Debug, Args)]
 pub struct JudgeArguments {
-    #[command(flatten)]
-    pub service: ServiceArguments,
     /// CSV file with a time, the quantities and the conditions; may be repeated in the order of
     /// time.
     ///
@@ -661,6 +659,8 @@ pub struct JudgeArguments {
     /// Print one JSON object per line: every judgement of every day.
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub service: ServiceArguments,
 }
 
 #[derive(Debug, Args)]
