@@ -48,13 +48,14 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 13] = [
+const DISPLAYED: [KeyFamily; 14] = [
     K::Parameter,
     K::Loss,
     K::Noise,
     K::Outlier,
     K::SensorHealth,
     K::Condition,
+    K::Judgement,
     K::ModelClass,
     K::Fit,
     K::Monitoring,
@@ -164,6 +165,24 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             each(Right::Query, &[K::EstimatesBuffer]),
             each(Right::Answer, &[K::Alert, K::AlertLog]),
             of_service(Service::Alert),
+            // The judgement is the slow part of the decision.
+            each(
+                Right::Subscribe,
+                &[K::Parameter, K::Condition, K::Monitoring],
+            ),
+            each(Right::Subscribe, &Service::ALL.map(K::Status)),
+            each(Right::Query, &[K::Alert, K::Condition]),
+            each(
+                Right::Watch,
+                &[
+                    K::Live(Service::Alert),
+                    K::Live(Service::Feed),
+                    K::Live(Service::Sensor),
+                    K::Simulated,
+                ],
+            ),
+            each(Right::Put, &[K::Judgement]),
+            of_service(Service::Judge),
         ]
         .concat(),
         Role::History => [
@@ -177,7 +196,10 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         ]
         .concat(),
         Role::Notify => [
-            each(Right::Subscribe, &[K::Alert, K::Monitoring, K::Maintenance]),
+            each(
+                Right::Subscribe,
+                &[K::Alert, K::Judgement, K::Monitoring, K::Maintenance],
+            ),
             // The status of ingest and of fuse states whether the samples are live.
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
             each(Right::Put, &[K::Event]),
@@ -276,6 +298,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Outlier
         | K::SensorHealth
         | K::Condition
+        | K::Judgement
         | K::Event
         | K::Alert
         | K::Acknowledge

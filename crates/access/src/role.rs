@@ -17,7 +17,7 @@ pub enum Role {
     Server,
     /// The services ingest, identify and fuse.
     Worker,
-    /// The alert service.
+    /// The alert service, and the service that judges lasting changes.
     Alert,
     /// The history service.
     History,

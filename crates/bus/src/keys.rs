@@ -212,6 +212,18 @@ impl Keys {
         self.all(KeyFamily::Condition)
     }
 
+    /// Returns the key of the judgement of one quantity.
+    #[must_use]
+    pub fn judgement(&self, quantity: &Name) -> String {
+        self.key(KeyFamily::Judgement, quantity)
+    }
+
+    /// Returns the key expression of the judgements of all quantities.
+    #[must_use]
+    pub fn all_judgements(&self) -> String {
+        self.all(KeyFamily::Judgement)
+    }
+
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
@@ -363,6 +375,8 @@ pub enum Service {
     Fuse,
     /// The alert service.
     Alert,
+    /// The service that judges lasting changes.
+    Judge,
     /// The history service.
     History,
     /// The service that notifies people of alerts.
@@ -373,13 +387,14 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Sensor,
         Self::Feed,
         Self::Ingest,
         Self::Identify,
         Self::Fuse,
         Self::Alert,
+        Self::Judge,
         Self::History,
         Self::Notify,
         Self::Dashboard,
@@ -395,6 +410,7 @@ impl Service {
             Self::Identify => "identify",
             Self::Fuse => "fuse",
             Self::Alert => "alert",
+            Self::Judge => "judge",
             Self::History => "history",
             Self::Notify => "notify",
             Self::Dashboard => "dashboard",
@@ -455,6 +471,8 @@ pub enum KeyFamily {
     SensorHealth,
     /// [`Keys::condition`], one per condition
     Condition,
+    /// [`Keys::judgement`], one per quantity
+    Judgement,
     /// [`Keys::event`]
     Event,
     /// [`Keys::alert`], one per parameter
@@ -494,7 +512,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 29] = [
+    const WITHOUT_SERVICE: [Self; 30] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -513,6 +531,7 @@ impl KeyFamily {
         Self::Outlier,
         Self::SensorHealth,
         Self::Condition,
+        Self::Judgement,
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
@@ -549,6 +568,7 @@ impl KeyFamily {
             Self::Outlier => "outlier/{of}",
             Self::SensorHealth => "sensor/{of}/health",
             Self::Condition => "condition/{of}",
+            Self::Judgement => "judgement/{of}",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
@@ -724,6 +744,8 @@ mod tests {
             (keys.all_sensor_health(), "spandrel/tower/sensor/*/health"),
             (keys.condition(&n), "spandrel/tower/condition/storey-1"),
             (keys.all_conditions(), "spandrel/tower/condition/*"),
+            (keys.judgement(&n), "spandrel/tower/judgement/storey-1"),
+            (keys.all_judgements(), "spandrel/tower/judgement/*"),
             (keys.event(), "spandrel/tower/event"),
             (keys.all_alerts(), "spandrel/tower/alert/*"),
             (

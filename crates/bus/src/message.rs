@@ -14,6 +14,7 @@ mod fit;
 mod frames;
 mod header;
 mod history;
+mod judgement;
 mod local;
 mod loss;
 mod maintenance;
@@ -51,6 +52,7 @@ pub use fit::{
 pub use frames::FrameBlock;
 pub use header::{Header, MAX_SOURCE_BYTES};
 pub use history::{HistoryLog, HistoryRows, HistorySpan};
+pub use judgement::{ChangeKind, DayExpectation, JudgementDisplay, JudgementState, LastingChange};
 pub use local::{
     LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,
     ToldSamples,

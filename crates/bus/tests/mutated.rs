@@ -14,10 +14,10 @@ use proptest::prelude::*;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, ConditionDisplay, Description,
     Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
-    Header, HistoryLog, HistorySpan, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES,
-    Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay, MotionNumbers,
-    NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress,
-    SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
+    Header, HistoryLog, HistorySpan, JudgementDisplay, LocalDensity, LocalMessage, LossDisplay,
+    MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay,
+    MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
+    Progress, SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
     ToldMotion, ToldSamples,
 };
 
@@ -296,6 +296,14 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{\"structure\":\"demo\",\"parameter\":\"storey-2\",\"time_ns\":5,\"until_ns\":3600000000005,\
              \"who\":\"ada\",\"reason\":\"new bearings\"}",
         ),
+        text::<JudgementDisplay>(
+            "{\"structure\":\"demo\",\"quantity\":\"storey-2\",\"time_ns\":9,\"day_ns\":0,\"epoch_ns\":8,\"epochs\":96,\"measured\":true,\
+             \"state\":\"judged\",\"change\":{\"kind\":\"lasting-loss\",\"found_ns\":0,\"since_ns\":0,\"loss\":0.05,\
+             \"interval\":{\"level\":0.95,\"low\":0.04,\"high\":0.06}},\"sentence\":\"storey-2 has lost 5 % of stiffness.\",\
+             \"expectation\":{\"measured\":0.95,\"expected\":1.0,\"interval\":{\"level\":0.95,\"low\":0.98,\"high\":1.02},\
+             \"residual\":-3.0,\"ln_evidence\":9.0,\"ln_threshold\":8.2,\"cusum_share\":1.1},\
+             \"false_alarms_per_year\":0.1}",
+        ),
     ]
 }
 
@@ -405,7 +413,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 28);
+    assert_eq!(messages.len(), 29);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -436,7 +444,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_valid_message(
-        which in 0usize..28,
+        which in 0usize..29,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -445,7 +453,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..28, to in 0usize..28) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..29, to in 0usize..29) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

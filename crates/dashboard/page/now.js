@@ -4,7 +4,7 @@ import { h, keyed, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, NOT_STIFFNESS, NO_RULE, place, probability, ratio, stateOf, step } from "./words.js";
+import { COLUMNS, NOT_STIFFNESS, NO_RULE, judgementWords, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -26,7 +26,10 @@ export class NowTab {
     this.search = searchField(about.parameters.length, "Find a part", () => this.update(page.standing()));
     this.worst = h("section", { class: "card worst" });
     const parts = h("section", { class: "card parts" }, h("div", { class: "card-head" }, h("h2", {}, "Parts"), this.search.element), table);
-    this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null);
+    this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
+    this.noJudgement = h("p", { class: "group-text" }, "The service judge has not reported yet.");
+    const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, "Lasting change"), this.noJudgement, this.judgements);
+    this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null, lasting);
   }
 
   get plots() {
@@ -71,5 +74,15 @@ export class NowTab {
     };
     const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name));
     keyed(this.rows, found, (parameter) => parameter.name, make, update);
+    this.#showJudgements(standing);
+  }
+
+  #showJudgements({ judgements }) {
+    this.noJudgement.hidden = judgements.length > 0;
+    keyed(this.judgements, judgements, (judgement) => judgement.quantity, () => ({ element: h("li") }), (part, judgement) => {
+      const { level, text } = judgementWords(judgement);
+      part.element.dataset.level = level;
+      setText(part.element, text);
+    });
   }
 }

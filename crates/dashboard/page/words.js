@@ -228,6 +228,23 @@ export function conditionWords({ name, unit: of, value, age_s, stale, implausibl
   return { level: fault ? "warning" : "normal", text: `${fault ? "▲" : "●"} ${name}: ${number(value)} ${unit(of)}, ${duration(age_s)} ago${fault}${by}` };
 }
 
+/** Levels of the words of a judgement. The others say nothing about the structure. */
+const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm" };
+
+/** Returns the level, sign and words of the judgement of a quantity. */
+export function judgementWords({ word, sentence, change, expectation, epoch_ns: epoch, measured, false_alarms_per_year: budget }) {
+  const level = JUDGEMENTS[word] ?? "learning";
+  const parts = [`${LEVELS[level].sign} ${word}: ${sentence}`];
+  if (change) parts.push(`Found on ${new Date(change.found_ns / 1e6).toISOString().slice(0, 10)}.`);
+  if (expectation) {
+    const { measured: value, expected, interval, ln_evidence: evidence, ln_threshold: threshold } = expectation;
+    parts.push(`Measured ${number(value)}, expected ${number(expected)} [${number(interval.low)}, ${number(interval.high)}]. Evidence of a loss ${evidence.toFixed(1)}, threshold ${threshold.toFixed(1)} (ln). Budget ${number(budget)} false alarms a year.`);
+  }
+  parts.push(epoch === null ? "No epoch yet." : `Last epoch ${time(epoch / 1e9)}.`);
+  if (!measured) parts.push("Contains replayed or simulated samples.");
+  return { level, text: parts.join(" ") };
+}
+
 /** Returns a unit with typographic symbols. */
 export function unit(text) {
   return text.replace("m/s2", "m/s²").replace("W/m2", "W/m²").replace("degC", "°C").replace(/^deg$/, "°").replace(/^um$/, "µm").replace("microstrain", "µm/m");

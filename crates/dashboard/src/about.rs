@@ -15,6 +15,8 @@ pub(crate) struct About {
     pub(crate) parameters: Vec<AboutParameter>,
     pub(crate) noise: Vec<AboutNoise>,
     pub(crate) conditions: Vec<AboutCondition>,
+    /// Names of the quantities that are judged for lasting change.
+    pub(crate) judged: Vec<String>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
     /// Index of each observed channel in the drawing's list of sensors.
@@ -85,6 +87,8 @@ impl About {
             unit: condition.unit(),
             range: condition.range(),
         });
+        let judged = structure.judge().into_iter();
+        let judged = judged.flat_map(|plan| &plan.settings.quantities);
         let rules = structure.alert_rules().iter().map(|rule| AboutRule {
             parameters: rule
                 .parameters
@@ -104,6 +108,7 @@ impl About {
             parameters: parameters.collect(),
             noise: noise.collect(),
             conditions: conditions.collect(),
+            judged: judged.map(|quantity| quantity.name.clone()).collect(),
             rules: rules.collect(),
             drawing: structure.drawing(),
             observed: structure.observation_channels().to_vec(),

@@ -5,12 +5,16 @@ use crate::overview::overview;
 use crate::sensors::sensor_states;
 use crate::server::now_ns;
 use crate::store::Store;
+use crate::view::judgements;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use spandrel_bus::{AlertState, FitReason, FitVerdict, MonitoringState, UndecidedBecause};
+use spandrel_bus::{
+    AlertState, ChangeKind, FitReason, FitVerdict, JudgementState, MonitoringState,
+    UndecidedBecause,
+};
 use spandrel_service::Refused;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -47,6 +51,10 @@ struct Metrics {
     node_distance: Gauges,
     condition: Gauges,
     condition_age: Gauges,
+    judgement: Gauges,
+    lasting_loss: Gauges,
+    evidence: Gauges,
+    judged_epoch: Gauges,
     time: Gauges,
     age: Gauges,
     lag: Gauges,
@@ -183,6 +191,26 @@ impl Metrics {
             "condition_age_seconds",
             "Time since the latest value of a condition was measured",
             &self.condition_age,
+        );
+        gauge(
+            "judgement_state",
+            "1 for the state or the lasting change of a judged quantity, 0 for the others",
+            &self.judgement,
+        );
+        gauge(
+            "judgement_loss",
+            "Lasting loss of stiffness that was found, as a share; negative for a gain",
+            &self.lasting_loss,
+        );
+        gauge(
+            "judgement_evidence",
+            "ln of the evidence of a lasting loss, divided by ln of its threshold",
+            &self.evidence,
+        );
+        gauge(
+            "judgement_epoch_seconds",
+            "Middle of the last epoch, seconds since the Unix epoch",
+            &self.judged_epoch,
         );
         gauge(
             "measured_time_seconds",
@@ -372,6 +400,38 @@ impl Metrics {
                 self.condition_age.get_or_create(&labels).set(age_s);
             }
         }
+        for view in judgements(store) {
+            let display = view.display;
+            let quantity = display.quantity.as_str();
+            let states = JudgementState::ALL.map(JudgementState::as_str);
+            for word in states
+                .into_iter()
+                .chain(ChangeKind::ALL.map(ChangeKind::as_str))
+            {
+                let labels = vec![
+                    structure(),
+                    ("quantity", quantity.to_owned()),
+                    ("state", word.to_owned()),
+                ];
+                let holds = f64::from(u8::from(word == view.word));
+                self.judgement.get_or_create(&labels).set(holds);
+            }
+            if let Some(change) = &display.change {
+                set(&self.lasting_loss, "quantity", quantity, change.loss);
+            }
+            if let Some(expectation) = &display.expectation {
+                let share = expectation.ln_evidence / expectation.ln_threshold;
+                set(&self.evidence, "quantity", quantity, share);
+            }
+            if let Some(epoch_ns) = display.epoch_ns {
+                set(
+                    &self.judged_epoch,
+                    "quantity",
+                    quantity,
+                    epoch_ns as f64 / 1e9,
+                );
+            }
+        }
         let whole = vec![structure()];
         let overview = overview(store);
         if let Some(time_s) = overview.time_s {
@@ -424,7 +484,7 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{air, alert, at, demo, demo_with_air, fit, hear, undecided};
+    use crate::testing::{air, alert, at, demo, demo_with_air, fit, hear, lasting_loss, undecided};
     use spandrel_listener::Input;
 
     #[test]
@@ -466,6 +526,26 @@ mod tests {
         ] {
             assert!(text.lines().any(|found| found == line), "{line}\n{text}");
         }
+    }
+
+    #[test]
+    fn a_lasting_loss_has_its_state_size_and_evidence() {
+        let mut store = demo_with_air();
+        store.handle(Input::Judgement(lasting_loss("storey-2")));
+        // The structure file does not judge this parameter.
+        store.handle(Input::Judgement(lasting_loss("storey-1")));
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
+        let labels = "structure=\"demo\",quantity=\"storey-2\"";
+        for line in [
+            format!("spandrel_judgement_state{{{labels},state=\"lasting-loss\"}} 1.0"),
+            format!("spandrel_judgement_state{{{labels},state=\"judged\"}} 0.0"),
+            format!("spandrel_judgement_loss{{{labels}}} 0.05"),
+            format!("spandrel_judgement_evidence{{{labels}}} 1.125"),
+            format!("spandrel_judgement_epoch_seconds{{{labels}}} 450.0"),
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+        }
+        assert!(!text.contains("quantity=\"storey-1\""), "{text}");
     }
 
     #[test]

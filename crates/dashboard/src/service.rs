@@ -37,6 +37,7 @@ const NEEDS: Needs = Needs {
         T::Outliers,
         T::SensorHealth,
         T::Conditions,
+        T::Judgements,
         T::Classes,
         T::Nodes,
         T::Fit,

@@ -100,6 +100,7 @@ impl Store {
             Input::SensorHealth(m) => self.has_node(m.node.as_str()),
             Input::Node(m) => self.has_node(m.node.as_str()),
             Input::Condition(m) | Input::StandingCondition(m, _) => self.has_condition(m),
+            Input::Judgement(m) => self.has_judged(m.quantity.as_str()),
             Input::Alert(m) | Input::StandingAlert(m) => self.has_parameter(m.parameter.as_str()),
             Input::Acknowledgement(m) => self.has_parameter(m.parameter.as_str()),
             // In distributed identification, samples are not replayed from a recording.
@@ -170,6 +171,10 @@ impl Store {
     fn has_node(&self, name: &str) -> bool {
         let mut sensors = self.about.drawing.sensors.iter();
         sensors.any(|sensor| sensor.node == name)
+    }
+
+    fn has_judged(&self, name: &str) -> bool {
+        self.about.judged.iter().any(|quantity| quantity == name)
     }
 
     /// Returns `true` if the structure file has the condition, in the unit of the message.
@@ -273,7 +278,8 @@ impl Store {
                 | EventKind::HistoryUnavailable
                 | EventKind::HistoryBack
                 | EventKind::StateLost
-                | EventKind::StateBack => false,
+                | EventKind::StateBack
+                | EventKind::LastingChange => false,
             };
         }
         self.events.push_front(event);

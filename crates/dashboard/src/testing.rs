@@ -3,8 +3,9 @@
 use crate::about::About;
 use crate::store::Store;
 use spandrel_bus::{
-    AlertMessage, AlertState, ChannelMonitoring, ConditionDisplay, CredibleInterval, FitDisplay,
-    FitReason, FitVerdict, LossDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay,
+    AlertMessage, AlertState, ChangeKind, ChannelMonitoring, ConditionDisplay, CredibleInterval,
+    DayExpectation, FitDisplay, FitReason, FitVerdict, JudgementDisplay, JudgementState,
+    LastingChange, LossDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay,
     Service, UndecidedBecause,
 };
 use spandrel_listener::{Input, Instance};
@@ -24,11 +25,12 @@ pub(crate) fn demo() -> Store {
     ))
 }
 
-/// Returns the store of the demo with a temperature of the air, expected every 10 s.
+/// Returns the store of the demo with a temperature of the air, expected every 10 s, and with the
+/// judgement of storey 2.
 pub(crate) fn demo_with_air() -> Store {
     let text = include_str!("../../../docs/examples/demo.toml");
-    let air =
-        "[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\ninterval-s = 10\n";
+    let air = "[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\ninterval-s = 10\n\
+         [judge]\n[[judge.quantity]]\nname = \"storey-2\"\nis = \"stiffness\"\n";
     let structure = Structure::parse(&format!("{text}\n{air}"), Path::new("demo.toml"));
     Store::new(About::new(&structure.unwrap()))
 }
@@ -43,6 +45,43 @@ pub(crate) fn air(second: i64, value: f64) -> ConditionDisplay {
         unit: "degC".to_owned(),
         interval_s: Some(10.0),
         instrument: Some("mast".to_owned()),
+    }
+}
+
+/// Returns the judgement of a quantity that has lost 5 %.
+pub(crate) fn lasting_loss(quantity: &str) -> JudgementDisplay {
+    let interval = |low, high| CredibleInterval {
+        level: 0.95,
+        low,
+        high,
+    };
+    JudgementDisplay {
+        structure: name("demo"),
+        quantity: name(quantity),
+        time_ns: 900_000_000_000,
+        day_ns: Some(0),
+        epoch_ns: Some(450_000_000_000),
+        epochs: 1,
+        measured: true,
+        state: JudgementState::Judged,
+        change: Some(LastingChange {
+            kind: ChangeKind::LastingLoss,
+            found_ns: 0,
+            since_ns: 0,
+            loss: 0.05,
+            interval: interval(0.04, 0.06),
+        }),
+        sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
+        expectation: Some(DayExpectation {
+            measured: 0.95,
+            expected: 1.0,
+            interval: interval(0.98, 1.02),
+            residual: -3.0,
+            ln_evidence: 9.0,
+            ln_threshold: 8.0,
+            cusum_share: 1.2,
+        }),
+        false_alarms_per_year: 0.1,
     }
 }
 

@@ -5,8 +5,9 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, FitDisplay, LossDisplay, ModelClassDisplay, Name, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
+    AlertMessage, AlertState, Event, FitDisplay, JudgementDisplay, LossDisplay, ModelClassDisplay,
+    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, ParameterMonitoring, Phase,
+    Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -25,6 +26,8 @@ pub(crate) struct Standing<'s> {
     classes: Option<&'s ModelClassDisplay>,
     nodes: &'s BTreeMap<Name, NodeDisplay>,
     conditions: Vec<ConditionView<'s>>,
+    /// The judged quantities, in the order of the structure file.
+    judgements: Vec<JudgementView<'s>>,
     /// Verdict on the fit, with its explanation.
     fit: Option<FitView<'s>>,
     training: bool,
@@ -50,6 +53,15 @@ pub(crate) struct AlertView<'s> {
     pub(crate) now: Option<String>,
     /// Why the present data do not reveal damage of the parameter, if so.
     pub(crate) unwatched: Option<&'s ParameterMonitoring>,
+}
+
+/// The judgement of a quantity as the page shows it.
+#[derive(Debug, Serialize)]
+pub(crate) struct JudgementView<'s> {
+    #[serde(flatten)]
+    pub(crate) display: &'s JudgementDisplay,
+    /// Name of the lasting change, or else of the state.
+    pub(crate) word: &'static str,
 }
 
 /// Verdict on the fit as the page shows it.
@@ -97,6 +109,7 @@ impl<'s> Standing<'s> {
             classes: store.state.classes.as_ref(),
             nodes: &store.state.nodes,
             conditions: conditions(store).collect(),
+            judgements: judgements(store).collect(),
             fit: store.state.fit.as_ref().map(|display| FitView {
                 display,
                 words: display.words(),
@@ -110,6 +123,16 @@ impl<'s> Standing<'s> {
             series: store.series_names().map(ToString::to_string).collect(),
         }
     }
+}
+
+/// Returns the judgements that have arrived, in the order of the structure file.
+pub(crate) fn judgements(store: &Store) -> impl Iterator<Item = JudgementView<'_>> {
+    let judged = store.about.judged.iter();
+    let judged = judged.filter_map(|name| store.state.judgements.get(name.as_str()));
+    judged.map(|display| JudgementView {
+        display,
+        word: display.word(),
+    })
 }
 
 /// Returns the alert of each parameter.

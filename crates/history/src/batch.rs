@@ -235,6 +235,7 @@ impl Collector {
             | Input::Fit(_)
             | Input::SensorHealth(_)
             | Input::StandingCondition(..)
+            | Input::Judgement(_)
             | Input::Monitoring(_)
             | Input::Estimates(..)
             | Input::Status(_)

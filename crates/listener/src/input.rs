@@ -2,9 +2,9 @@
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, ConditionDisplay, EstimateBlock, Event, FitDisplay, HistoryLog,
-    KeyFamily as K, LossDisplay, ModelClassDisplay, MonitoringDisplay, Name, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SensorHealthDisplay, Service, Status,
-    Topic, parse_key,
+    JudgementDisplay, KeyFamily as K, LossDisplay, ModelClassDisplay, MonitoringDisplay, Name,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SensorHealthDisplay,
+    Service, Status, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -28,6 +28,8 @@ pub enum Input {
     Condition(ConditionDisplay),
     /// The latest value of a condition, and its age when the query was answered.
     StandingCondition(ConditionDisplay, Duration),
+    /// The judgement of a quantity.
+    Judgement(JudgementDisplay),
     /// The plausibility of the model classes.
     Classes(ModelClassDisplay),
     /// The station's assessment of a node.
@@ -119,6 +121,7 @@ impl Input {
             Self::Condition(m) | Self::StandingCondition(m, _) => {
                 (&m.structure, Topic::new(K::Condition, &m.name))
             }
+            Self::Judgement(m) => (&m.structure, Topic::new(K::Judgement, &m.quantity)),
             Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
             Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),
             Self::Fit(m) => (&m.structure, Topic::single(K::Fit)),

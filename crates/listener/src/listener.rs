@@ -43,6 +43,8 @@ pub enum DisplayTopic {
     SensorHealth,
     /// [`Input::Condition`]
     Conditions,
+    /// [`Input::Judgement`]
+    Judgements,
     /// [`Input::Classes`]
     Classes,
     /// [`Input::Node`]
@@ -264,6 +266,7 @@ impl Place {
                     .await
             }
             T::Conditions => self.queue(K::Condition, |_, m| Input::Condition(m)).await,
+            T::Judgements => self.queue(K::Judgement, |_, m| Input::Judgement(m)).await,
             T::Classes => self.queue(K::ModelClass, |_, m| Input::Classes(m)).await,
             T::Nodes => self.queue(K::Node, |_, m| Input::Node(m)).await,
             T::Fit => self.queue(K::Fit, |_, m| Input::Fit(m)).await,

@@ -2,10 +2,10 @@
 
 use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, Arrivals, ConditionDisplay, FitDisplay, LossDisplay, MAX_CHANNELS,
-    ModelClassDisplay, MonitoringDisplay, MonitoringState, Name, NodeDisplay, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, ParameterMonitoring, SensorHealthDisplay, Service,
-    Status, is_without_date, reported_pace,
+    AlertMessage, Arrivals, ConditionDisplay, FitDisplay, JudgementDisplay, LossDisplay,
+    MAX_CHANNELS, ModelClassDisplay, MonitoringDisplay, MonitoringState, Name, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, ParameterMonitoring, SensorHealthDisplay,
+    Service, Status, is_without_date, reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -32,6 +32,8 @@ pub struct StructureState {
     pub sensor_health: BTreeMap<Name, SensorHealthDisplay>,
     /// Latest values of the conditions.
     pub conditions: BTreeMap<Name, ConditionState>,
+    /// Last judgement of each quantity.
+    pub judgements: BTreeMap<Name, JudgementDisplay>,
     /// State of the model classes. `None` if there is a single model or no message has arrived.
     pub classes: Option<ModelClassDisplay>,
     /// Verdict on the fit. `None` before the first message, and if no service judges it.
@@ -167,6 +169,10 @@ impl StructureState {
                 if known.is_none_or(|known| known.display.time_ns < display.time_ns) {
                     self.take_condition(display, age);
                 }
+            }
+            Input::Judgement(display) => {
+                let name = display.quantity.clone();
+                keep(&mut self.judgements, name, display, left_out);
             }
             Input::Classes(display) => self.classes = Some(display),
             Input::Node(display) => {

@@ -2,8 +2,8 @@
 
 use crate::content::{Report, Scene};
 use spandrel_bus::{
-    AlertMessage, AlertState, FitVerdict, MonitoringDisplay, MonitoringState, UndecidedBecause,
-    fit_in_words,
+    AlertMessage, AlertState, FitVerdict, JudgementDisplay, MonitoringDisplay, MonitoringState,
+    UndecidedBecause, fit_in_words,
 };
 
 /// Returns the advice for a report.
@@ -14,6 +14,18 @@ pub(crate) fn advice(report: &Report, scene: &Scene<'_>) -> String {
         Report::Summary(_) => "Read the lines below. A separate notice follows for each state \
                                that lasts."
             .to_owned(),
+        Report::Judgement(display) => of_judgement(display),
+    }
+}
+
+fn of_judgement(display: &JudgementDisplay) -> String {
+    let is_alarm = display.change.is_some_and(|change| change.kind.is_alarm());
+    match is_alarm {
+        true => format!(
+            "Find out what has changed at {} since that day. Check its thermometers as well.",
+            display.quantity
+        ),
+        false => "No action is required.".to_owned(),
     }
 }
 

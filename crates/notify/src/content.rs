@@ -5,8 +5,8 @@ use crate::origin::Origin;
 use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    AlertMessage, ChannelMonitoring, FitReasons, FitVerdict, MonitoringDisplay, MonitoringState,
-    Name, fit_in_words, is_without_date,
+    AlertMessage, ChannelMonitoring, FitReasons, FitVerdict, JudgementDisplay, MonitoringDisplay,
+    MonitoringState, Name, fit_in_words, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,6 +22,8 @@ pub(crate) enum Report {
     Monitoring(MonitoringDisplay),
     /// What was held back during quiet hours or maintenance.
     Summary(Summary),
+    /// A lasting change of a quantity.
+    Judgement(JudgementDisplay),
 }
 
 /// A summary of notices that were held back.
@@ -56,8 +58,17 @@ pub(crate) struct Circumstances {
     pub(crate) link: String,
 }
 
-/// The subject of a notice: the structure, and the part of an alert.
-pub(crate) type Subject = (Name, Option<Name>);
+/// The subject of a notice: the structure, the part of an alert, and the concern.
+pub(crate) type Subject = (Name, Option<Name>, Concern);
+
+/// What a notice is about. A part can have an alert and a lasting change at the same time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Concern {
+    /// The present state of a part or of the monitoring.
+    Present,
+    /// A lasting change.
+    Lasting,
+}
 
 /// The content of a notice.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,6 +100,7 @@ impl Content {
             Report::Alert(alert) => Some(alert.state.into()),
             Report::Monitoring(display) => Some(display.state.into()),
             Report::Summary(_) => None,
+            Report::Judgement(display) => display.change.map(|change| change.kind.into()),
         }
     }
 
@@ -105,28 +117,37 @@ impl Content {
             Report::Alert(alert) => &alert.structure,
             Report::Monitoring(display) => &display.structure,
             Report::Summary(summary) => &summary.structure,
+            Report::Judgement(display) => &display.structure,
         }
     }
 
-    /// Returns the part of an alert.
+    /// Returns the part of an alert, or the judged quantity.
     pub(crate) fn part(&self) -> Option<&Name> {
         match &self.report {
             Report::Alert(alert) => Some(&alert.parameter),
+            Report::Judgement(display) => Some(&display.quantity),
             Report::Monitoring(_) | Report::Summary(_) => None,
         }
     }
 
     pub(crate) fn subject(&self) -> Subject {
-        (self.structure().clone(), self.part().cloned())
+        let concern = match &self.report {
+            Report::Judgement(_) => Concern::Lasting,
+            Report::Alert(_) | Report::Monitoring(_) | Report::Summary(_) => Concern::Present,
+        };
+        (self.structure().clone(), self.part().cloned(), concern)
     }
 
     /// Returns the time of the report, ns since the Unix epoch, UTC: the measurement time of an
-    /// alert, and otherwise the wall-clock time.
+    /// alert, the start of the day of a lasting change, and otherwise the wall-clock time.
     pub(crate) fn time_ns(&self) -> i64 {
         match &self.report {
             Report::Alert(alert) => alert.time_ns,
             Report::Monitoring(display) => display.time_ns,
             Report::Summary(summary) => summary.time_ns,
+            Report::Judgement(display) => display
+                .change
+                .map_or(display.time_ns, |change| change.found_ns),
         }
     }
 
@@ -154,6 +175,7 @@ impl Content {
                 1 => format!("{}: 1 notice was held back", summary.cause),
                 count => format!("{}: {count} notices were held back", summary.cause),
             },
+            Report::Judgement(display) => display.sentence.trim_end_matches('.').to_owned(),
         }
     }
 
@@ -191,7 +213,19 @@ fn key(report: &Report) -> String {
         Report::Summary(summary) => {
             format!("{}/summary/{}", summary.structure, summary.time_ns)
         }
+        Report::Judgement(display) => judgement_key(display),
     }
+}
+
+/// Returns the key of a lasting change. No alert has such a state.
+pub(crate) fn judgement_key(display: &JudgementDisplay) -> String {
+    format!(
+        "{}/{}/{}/{}",
+        display.structure,
+        display.quantity,
+        display.change.map_or(0, |change| change.found_ns),
+        display.word()
+    )
 }
 
 /// Returns the key of a change of an alert.
@@ -241,6 +275,14 @@ impl Scene<'_> {
             Report::Alert(alert) => (Some(&alert.parameter), Some(alert.time_ns)),
             Report::Monitoring(display) => (None, display.measured_ns),
             Report::Summary(_) => (None, None),
+            Report::Judgement(display) => (Some(&display.quantity), display.epoch_ns),
+        };
+        // A judgement rests on all samples since the commissioning.
+        let origin = match &report {
+            Report::Judgement(display) if !display.measured && self.origin == Origin::Measured => {
+                Origin::Replayed
+            }
+            _ => self.origin,
         };
         // The verdict at the deciding frame, with its reasons, precedes the present one.
         let fit = match &report {
@@ -255,7 +297,7 @@ impl Scene<'_> {
             place: self.facts.place.clone(),
             quality: self.quality(),
             others: self.others(part),
-            origin: self.origin,
+            origin,
             advice,
             link: self.link(part, moment_ns),
         };
@@ -365,6 +407,24 @@ mod tests {
             absent: &BTreeSet::new(),
         }
         .compose(report)
+    }
+
+    #[test]
+    fn a_judgement_that_contains_replayed_samples_is_not_measured() {
+        let origin = |measured| {
+            let sample = crate::samples::samples("house").pop().unwrap();
+            let Report::Judgement(mut display) = sample.report else {
+                panic!("{sample:?}")
+            };
+            display.measured = measured;
+            compose(Report::Judgement(display), &[], None)
+                .circumstances
+                .origin
+        };
+        assert_eq!(
+            [origin(true), origin(false)],
+            [Origin::Measured, Origin::Replayed]
+        );
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::time::Duration;
 use tracing::{info, warn};
 
 /// Version of the layout of [`State`]. Every change of a field in it or in a nested type must
-/// increase it.
+/// increase it. A new last variant of an enum does not, because former files remain readable.
 const VERSION: u16 = 3;
 /// Versions of the layouts of [`State2`] and [`State1`].
 const FORMER_VERSIONS: [u16; 2] = [2, 1];

@@ -3,7 +3,9 @@
 use crate::content::{Content, Report, iso_8601};
 use crate::template::variables;
 use serde_json::{Value, json};
-use spandrel_bus::{AlertMessage, AlertState, MonitoringDisplay, MonitoringState, fit_in_words};
+use spandrel_bus::{
+    AlertMessage, AlertState, JudgementDisplay, MonitoringDisplay, MonitoringState, fit_in_words,
+};
 
 /// Default template of the subject of an e-mail.
 pub(crate) const MAIL_SUBJECT: &str = include_str!("mail.subject.txt");
@@ -33,6 +35,7 @@ pub(crate) fn plain(content: &Content) -> Value {
         Report::Alert(alert) => json!(alert),
         Report::Monitoring(display) => json!(display),
         Report::Summary(summary) => json!(summary),
+        Report::Judgement(display) => json!(display),
     };
     let variables = variables(content);
     for name in ADDED {
@@ -49,6 +52,7 @@ pub(crate) fn for_alertmanager(content: &Content) -> Value {
         Report::Alert(alert) => vec![of_alert(alert)],
         Report::Monitoring(display) => of_monitoring(display),
         Report::Summary(_) => Vec::new(), // Alertmanager summarises by itself
+        Report::Judgement(display) => of_judgement(display).into_iter().collect(),
     };
     let circumstances = &content.circumstances;
     for alert in &mut alerts {
@@ -96,6 +100,25 @@ fn of_alert(alert: &AlertMessage) -> Value {
         value["endsAt"] = json!(iso_8601(alert.time_ns));
     }
     value
+}
+
+/// A display without a lasting change is no alert.
+fn of_judgement(display: &JudgementDisplay) -> Option<Value> {
+    let change = display.change?;
+    let (name, severity) = match change.kind.is_alarm() {
+        true => ("SpandrelLastingLoss", "critical"),
+        false => ("SpandrelStiffer", "info"),
+    };
+    Some(json!({
+        "labels": {
+            "alertname": name,
+            "structure": display.structure.as_str(),
+            "quantity": display.quantity.as_str(),
+            "severity": severity,
+        },
+        "annotations": { "state": change.kind.as_str() },
+        "startsAt": iso_8601(change.found_ns),
+    }))
 }
 
 /// Blind and degraded are separate alerts. The inactive alert ends.

@@ -1,7 +1,7 @@
 //! Decides which notices to send, to which receivers, and when. It has no clock: the time is an
 //! argument.
 
-use crate::content::{Content, Report, Subject};
+use crate::content::{Concern, Content, Report, Subject};
 use crate::muting::{Change, Muting};
 use crate::origin::Origin;
 use crate::quiet::Quiet;
@@ -67,7 +67,7 @@ impl Wish {
     fn repeats(&self, content: &Content) -> bool {
         let stands = match &content.report {
             Report::Alert(alert) => alert.stands(),
-            Report::Monitoring(_) => content.is_open(),
+            Report::Monitoring(_) | Report::Judgement(_) => content.is_open(),
             Report::Summary(_) => false,
         };
         let told_as = match content.state() {
@@ -102,7 +102,8 @@ pub(crate) struct Remembered {
     /// The changes that were sent for each alert that is not over.
     told: Vec<AlertMessage>,
     /// Subjects whose open state was sent to a receiver with a delay, with its name.
-    escalated: Vec<(String, Subject)>,
+    /// A lasting change is not stored, because notify receives it again.
+    escalated: Vec<(String, (Name, Option<Name>))>,
     /// Present maintenance.
     maintenance: Vec<Maintenance>,
 }
@@ -194,7 +195,7 @@ impl Outbox {
         }
         let is_news = match &content.report {
             Report::Alert(alert) => self.is_news(&of, alert),
-            Report::Monitoring(_) | Report::Summary(_) => true,
+            Report::Monitoring(_) | Report::Summary(_) | Report::Judgement(_) => true,
         };
         for place in &mut self.boxes {
             let is_wished = place.wish.wants(content.state());
@@ -264,6 +265,19 @@ impl Outbox {
             told.push(alert.clone());
         }
         is_news
+    }
+
+    /// Ends the lasting change of a quantity, which is no longer reported. It needs no notice.
+    pub(crate) fn forget_change(&mut self, structure: &Name, quantity: &Name) {
+        let of = (structure.clone(), Some(quantity.clone()), Concern::Lasting);
+        if self.last.remove(&of).is_some() {
+            self.changed.insert(structure.clone());
+        }
+        for place in &mut self.boxes {
+            place.standing.remove(&of);
+            place.escalated.remove(&of);
+            place.held.retain(|held| held.content.subject() != of);
+        }
     }
 
     /// Records a change without sending it. Returns `false` if it is a duplicate.
@@ -342,9 +356,10 @@ impl Outbox {
             });
             waiting.chain(held).collect()
         };
-        let escalated = |place: &Receiver| -> Vec<(String, Subject)> {
-            let own = place.escalated.iter().filter(|of| of.0 == *structure);
-            own.map(|of| (place.wish.name.clone(), of.clone()))
+        let escalated = |place: &Receiver| -> Vec<(String, (Name, Option<Name>))> {
+            let is_own = |of: &&Subject| of.0 == *structure && of.2 == Concern::Present;
+            let own = place.escalated.iter().filter(is_own);
+            own.map(|of| (place.wish.name.clone(), (of.0.clone(), of.1.clone())))
                 .collect()
         };
         let known = self.known.get(structure).into_iter();
@@ -389,7 +404,8 @@ impl Outbox {
         } = remembered;
         self.muting.recall(maintenance);
         for alert in told {
-            let of = (alert.structure.clone(), Some(alert.parameter.clone()));
+            let part = Some(alert.parameter.clone());
+            let of = (alert.structure.clone(), part, Concern::Present);
             self.told.entry(of).or_default().push(alert);
         }
         self.known.insert(structure.clone(), keys.into());
@@ -404,10 +420,10 @@ impl Outbox {
             }
             self.last.insert(content.subject(), content);
         }
-        for (name, of) in escalated {
+        for (name, (structure, part)) in escalated {
             let mut boxes = self.boxes.iter_mut();
             if let Some(place) = boxes.find(|place| place.wish.name == name) {
-                place.escalated.insert(of);
+                place.escalated.insert((structure, part, Concern::Present));
             }
         }
         let mut lost = 0;

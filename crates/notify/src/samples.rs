@@ -3,8 +3,9 @@
 use crate::content::{Circumstances, Content, Report, Summary};
 use crate::origin::Origin;
 use spandrel_bus::{
-    AlertMessage, AlertState, ChannelMonitoring, CredibleInterval, FitReason, FitReasons,
-    FitVerdict, MonitoringDisplay, MonitoringState, Name, NameError,
+    AlertMessage, AlertState, ChangeKind, ChannelMonitoring, CredibleInterval, FitReason,
+    FitReasons, FitVerdict, JudgementDisplay, JudgementState, LastingChange, MonitoringDisplay,
+    MonitoringState, Name, NameError,
 };
 
 /// Time of the made-up values, ns since the Unix epoch, UTC: 2026-01-01.
@@ -25,6 +26,7 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         low: 0.1,
         high: 0.14,
     };
+    let part_judged = part.clone();
     let alert = AlertMessage {
         structure: structure.clone(),
         parameter: part,
@@ -67,6 +69,7 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
             used_share: 0.33,
         }],
     };
+    let judgement = judgement(&structure, part_judged, interval);
     let summary = Summary {
         structure,
         time_ns: TIME_NS,
@@ -77,6 +80,7 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         Report::Alert(alert),
         Report::Monitoring(display),
         Report::Summary(summary),
+        Report::Judgement(judgement),
     ];
     let circumstances = Circumstances {
         title: "TEST: title".to_owned(),
@@ -93,4 +97,27 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         ..Content::new(report, circumstances.clone())
     };
     Ok(reports.into_iter().map(content).collect())
+}
+
+fn judgement(structure: &Name, quantity: Name, interval: CredibleInterval) -> JudgementDisplay {
+    JudgementDisplay {
+        structure: structure.clone(),
+        quantity,
+        time_ns: TIME_NS,
+        day_ns: Some(TIME_NS),
+        epoch_ns: Some(TIME_NS),
+        epochs: 40_000,
+        measured: true,
+        state: JudgementState::Judged,
+        change: Some(LastingChange {
+            kind: ChangeKind::LastingLoss,
+            found_ns: TIME_NS,
+            since_ns: TIME_NS,
+            loss: 0.12,
+            interval,
+        }),
+        sentence: "TEST: test-part has lost 12.0 % of stiffness (made-up values).".to_owned(),
+        expectation: None,
+        false_alarms_per_year: 0.1,
+    }
 }

@@ -1,6 +1,6 @@
 //! Connects the outbox to the bus and to the receivers.
 
-use crate::content::{Facts, Report, Scene, alert_key, iso_8601};
+use crate::content::{Facts, Report, Scene, alert_key, iso_8601, judgement_key};
 use crate::error::NotifyError;
 use crate::memory::{Memory, Recalled, Situation};
 use crate::muting::Change;
@@ -10,8 +10,8 @@ use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use crate::sight::Sight;
 use spandrel_bus::{
-    AlertMessage, BoxedFuture, Event, EventKind, FitVerdict, Keys, LiveToken, LiveWatch,
-    Maintenance, Name, Service, Subscription, parse_key, reported_pace,
+    AlertMessage, BoxedFuture, Event, EventKind, FitVerdict, JudgementDisplay, Keys, LiveToken,
+    LiveWatch, MAX_CHANNELS, Maintenance, Name, Service, Subscription, parse_key, reported_pace,
 };
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
 use spandrel_service::{
@@ -30,6 +30,7 @@ const NEEDS: Needs = Needs {
     topics: &[
         DisplayTopic::Statuses,
         DisplayTopic::Monitoring,
+        DisplayTopic::Judgements,
         DisplayTopic::Alerts,
     ],
     services: &[Service::Alert, Service::Sensor],
@@ -109,6 +110,10 @@ struct Source {
     /// Changes of alerts whose notices are not composed yet, with the time for it. The queue of the
     /// listener bounds it.
     fresh: VecDeque<(AlertMessage, Duration)>,
+    /// Lasting changes whose notices are not composed yet, with the time for it.
+    changes: VecDeque<(JudgementDisplay, Duration)>,
+    /// Key of the last change of each quantity.
+    judged: BTreeMap<Name, String>,
     /// Number of alerts received.
     taken: u64,
     simulated: LiveWatch,
@@ -182,6 +187,8 @@ impl NotifyService {
                     sight,
                     origins: situation.origins,
                     fresh: fresh.collect(),
+                    changes: VecDeque::new(),
+                    judged: BTreeMap::new(),
                     taken: 0,
                     simulated: bus.watch_live(keys.all_simulated()).await?,
                     maintenance: bus
@@ -399,12 +406,31 @@ impl Source {
                 }
                 Input::LoggedAlert(alert) => told.log.push(alert.clone()),
                 Input::StandingAlert(alert) => told.standing.push(alert.clone()),
+                Input::Judgement(display) => self.take_judgement(display, outbox, now),
                 Input::Monitoring(display) => self.sight.take(display.clone(), now),
                 _ => {}
             }
             self.state.handle(input, &mut Vec::new());
         }
         self.catch_up(&told, outbox, now);
+    }
+
+    /// Queues the lasting change of a quantity, unless it is known. The same judgement arrives every few
+    /// seconds.
+    fn take_judgement(&mut self, display: &JudgementDisplay, outbox: &mut Outbox, now: Duration) {
+        let quantity = &display.quantity;
+        if display.change.is_none() {
+            self.judged.remove(quantity);
+            outbox.forget_change(&display.structure, quantity);
+            return;
+        }
+        let key = judgement_key(display);
+        let has_room = self.judged.len() < MAX_CHANNELS || self.judged.contains_key(quantity);
+        if has_room && self.judged.get(quantity) != Some(&key) {
+            self.judged.insert(quantity.clone(), key);
+            self.changes
+                .push_back((display.clone(), now + SETTLES_AFTER));
+        }
     }
 
     /// Queues a change of an alert until its notice can be composed.
@@ -497,6 +523,9 @@ impl Source {
         let mut reports = Vec::new();
         while let Some((alert, _)) = self.fresh.pop_front_if(|(_, due)| *due <= now) {
             reports.push(Report::Alert(alert));
+        }
+        while let Some((display, _)) = self.changes.pop_front_if(|(_, due)| *due <= now) {
+            reports.push(Report::Judgement(display));
         }
         reports.extend(
             self.sight

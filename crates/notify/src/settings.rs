@@ -156,6 +156,7 @@ fn usual_states() -> Vec<NoticeState> {
         NoticeState::Cleared,
         NoticeState::Blind,
         NoticeState::Watching,
+        NoticeState::LastingLoss,
     ]
 }
 

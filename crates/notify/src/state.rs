@@ -1,9 +1,9 @@
 //! The states that a receiver can request.
 
 use serde::Deserialize;
-use spandrel_bus::{AlertState, MonitoringState};
+use spandrel_bus::{AlertState, ChangeKind, MonitoringState};
 
-/// A state of an alert, or of the monitoring of a structure.
+/// A state of an alert or of the monitoring of a structure, or a lasting change of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum NoticeState {
@@ -29,11 +29,15 @@ pub enum NoticeState {
     Degraded,
     /// The data of a structure reveal damage of every part again.
     Watching,
+    /// A quantity has lost stiffness for good.
+    LastingLoss,
+    /// A quantity has become stiffer for good.
+    Stiffer,
 }
 
 impl NoticeState {
     /// All states.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::Learning,
         Self::Normal,
         Self::Pending,
@@ -45,6 +49,8 @@ impl NoticeState {
         Self::Blind,
         Self::Degraded,
         Self::Watching,
+        Self::LastingLoss,
+        Self::Stiffer,
     ];
 
     /// Returns the name of the state, as in the configuration.
@@ -62,6 +68,8 @@ impl NoticeState {
             Self::Blind => MonitoringState::Blind.as_str(),
             Self::Degraded => MonitoringState::Degraded.as_str(),
             Self::Watching => MonitoringState::Watching.as_str(),
+            Self::LastingLoss => ChangeKind::LastingLoss.as_str(),
+            Self::Stiffer => ChangeKind::Stiffer.as_str(),
         }
     }
 
@@ -73,10 +81,14 @@ impl NoticeState {
             | Self::Undecided
             | Self::Unconfirmed
             | Self::Blind
-            | Self::Degraded => true,
-            Self::Learning | Self::Normal | Self::Acknowledged | Self::Cleared | Self::Watching => {
-                false
-            }
+            | Self::Degraded
+            | Self::LastingLoss => true,
+            Self::Learning
+            | Self::Normal
+            | Self::Acknowledged
+            | Self::Cleared
+            | Self::Watching
+            | Self::Stiffer => false,
         }
     }
 }
@@ -90,6 +102,15 @@ impl TryFrom<String> for NoticeState {
             let names = Self::ALL.map(Self::as_str).join(", ");
             format!("unknown state {text:?}, must be one of {names}")
         })
+    }
+}
+
+impl From<ChangeKind> for NoticeState {
+    fn from(kind: ChangeKind) -> Self {
+        match kind {
+            ChangeKind::LastingLoss | ChangeKind::LearnedAway => Self::LastingLoss,
+            ChangeKind::Stiffer => Self::Stiffer,
+        }
     }
 }
 

@@ -185,6 +185,17 @@ pub(crate) fn variables(content: &Content) -> Map<String, serde_json::Value> {
             set("reasons", json!(display.reasons));
             set("since", json!(iso_8601(display.since_ns)));
         }
+        Report::Judgement(display) => {
+            set("kind", json!("judgement"));
+            let percent = |share: f64| json!(format!("{:.1} %", 100.0 * share));
+            if let Some(change) = &display.change {
+                set("since", json!(iso_8601(change.since_ns)));
+                set("loss", percent(change.loss));
+                set("loss_low", percent(change.interval.low));
+                set("loss_high", percent(change.interval.high));
+                set("loss_level", percent(change.interval.level));
+            }
+        }
         Report::Summary(summary) => {
             set("kind", json!("summary"));
             set("lines", json!(summary.lines));

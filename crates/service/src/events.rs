@@ -70,6 +70,7 @@ fn level(event: &Event) -> Level {
         | EventKind::Gap
         | EventKind::Overloaded
         | EventKind::HistoryUnavailable
+        | EventKind::LastingChange
         | EventKind::StateLost => Level::WARN,
     }
 }

@@ -123,9 +123,12 @@ pub enum Command {
     /// Check a structure file: natural frequencies, damping, and what its sensors can identify.
     #[command(after_help = "Example: spandrel check tower.toml")]
     Check(CheckArguments),
-    /// Judge a series of natural frequencies or stiffnesses for lasting change, offline.
+    /// Judge stiffnesses or natural frequencies for lasting change: live, or a series offline.
+    ///
+    /// Without --series, run the service that judges the live estimates.
     #[command(
-        after_help = "Examples: spandrel judge footbridge.toml --series footbridge.csv\n          \
+        after_help = "Examples: spandrel judge --config spandrel.toml\n          \
+                      spandrel judge footbridge.toml --series footbridge.csv\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --report\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --json"
     )]
@@ -195,6 +198,7 @@ impl Command {
             | Self::Identify(_)
             | Self::Fuse(_)
             | Self::Alert(_)
+            | Self::Judge(_)
             | Self::History(_)
             | Self::Notify(_)
             | Self::Dashboard(_) => Some(Scope::Peers),
@@ -650,12 +654,11 @@ impl ReadingArguments {
 
 #[derive(Debug, Args)]
 pub struct JudgeArguments {
-    /// Structure file with a table [judge]; the model may be missing.
-    #[arg(value_name = "STRUCTURE.toml")]
-    pub structure: PathBuf,
     /// CSV file with a time, the quantities and the conditions; may be repeated in the order of
     /// time.
-    #[arg(long, value_name = "FILE", required = true)]
+    ///
+    /// The model of the structure file may then be missing.
+    #[arg(long, value_name = "FILE")]
     pub series: Vec<PathBuf>,
     /// Print what each reference promises, what it achieves, and what it misses.
     #[arg(long)]
@@ -663,6 +666,8 @@ pub struct JudgeArguments {
     /// Print one JSON object per line: every judgement of every day.
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub service: ServiceArguments,
 }
 
 #[derive(Debug, Args)]

@@ -9,6 +9,7 @@ use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
 use spandrel_ingest::IngestError;
 use spandrel_judge::JudgeError;
+use spandrel_judging::JudgingError;
 use spandrel_modal::ModalError;
 use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
@@ -190,6 +191,9 @@ pub enum AppError {
     /// The alert service failed.
     #[error(transparent)]
     Alert(#[from] AlertError),
+    /// The service that judges lasting changes failed.
+    #[error(transparent)]
+    Judging(#[from] JudgingError),
     /// The dashboard failed.
     #[error(transparent)]
     Dashboard(#[from] DashboardError),
@@ -201,6 +205,18 @@ pub enum AppError {
         "the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…"
     )]
     NoHistory,
+    /// No structure has a table `[judge]`.
+    #[error("no structure has a table [judge]; --series judges a file instead")]
+    NothingToJudge,
+    /// Several structures were given for one series.
+    #[error("{found} structure files are given with --series, must be 1")]
+    SeriesOfStructures {
+        /// Number of structure files.
+        found: usize,
+    },
+    /// `--report` or `--json` was given without a series.
+    #[error("--report and --json need --series")]
+    NoSeries,
     /// The system defines no folder for persistent state.
     #[error(
         "no folder for persistent state: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; \
@@ -474,6 +490,9 @@ impl AppError {
             | Self::NoStandbyOfNodes { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
+            | Self::NothingToJudge
+            | Self::SeriesOfStructures { .. }
+            | Self::NoSeries
             | Self::NoPage
             | Self::NoHistory
             | Self::NoRecipients
@@ -487,6 +506,7 @@ impl AppError {
             | Self::CertificateOfNone { .. }
             | Self::WrongRole { .. } => true,
             Self::Fuse(_)
+            | Self::Judging(_)
             | Self::FiguresMissed { .. }
             | Self::ChannelsMissing { .. }
             | Self::NothingMeasured

@@ -36,6 +36,8 @@ impl Need {
     pub const PUT_FEEDBACK: Self =
         Self::new("publish feedback to nodes", Right::Put, KeyFamily::Feedback);
     pub const PUT_ALERTS: Self = Self::new("publish alerts", Right::Put, KeyFamily::Alert);
+    pub const PUT_JUDGEMENTS: Self =
+        Self::new("publish judgements", Right::Put, KeyFamily::Judgement);
     pub const ANSWER_HISTORY: Self =
         Self::new("answer history queries", Right::Answer, KeyFamily::History);
     pub const NOTIFY: Self = Self::new(

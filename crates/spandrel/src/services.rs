@@ -14,6 +14,7 @@ use spandrel_identify::{
     FilterPool, IdentifyPlan, IdentifyService, NodeService, NodeServicePlan, Precedence, SetAside,
 };
 use spandrel_ingest::{IngestPlan, IngestService};
+use spandrel_judging::{JudgePlanned, JudgeService};
 use spandrel_notify::{NotifyPlan, NotifyService, NotifySettings};
 use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::{Reference, Structure};
@@ -190,12 +191,13 @@ impl Share<'_> {
 }
 
 /// The order in which services stop: that of the data flow. They start in the opposite order.
-const STOP_ORDER: [Service; 8] = [
+const STOP_ORDER: [Service; 9] = [
     Service::Feed,
     Service::Ingest,
     Service::Identify,
     Service::Fuse,
     Service::Alert,
+    Service::Judge,
     Service::History,
     Service::Notify,
     Service::Dashboard,
@@ -486,6 +488,26 @@ impl Running {
                 baseline,
             };
             self.start::<AlertService>(Service::Alert, &of, plan)
+                .await?;
+        }
+        Ok(())
+    }
+
+    /// Starts the judgement of each structure that has a table `[judge]`.
+    ///
+    /// # Errors
+    /// An instance cannot start.
+    pub async fn start_judge(&mut self) -> Result<(), AppError> {
+        for monitored in self.monitored.clone() {
+            if monitored.structure.judge().is_none() {
+                continue;
+            }
+            let of = monitored.structure.name().to_owned();
+            let plan = JudgePlanned {
+                instance: self.instance(Service::Judge),
+                monitored,
+            };
+            self.start::<JudgeService>(Service::Judge, &of, plan)
                 .await?;
         }
         Ok(())

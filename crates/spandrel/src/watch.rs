@@ -20,6 +20,7 @@ mod view;
 mod conditions;
 mod draw;
 mod estimate_bar;
+mod judgements;
 mod lists;
 mod nodes;
 mod plain;

@@ -11,6 +11,8 @@ use std::path::Path;
 pub struct JudgePlan {
     /// What is judged, under which conditions and with which budget.
     pub settings: Settings,
+    /// Length of the epochs that are formed of live values (s).
+    pub epoch_s: u32,
     /// Column of the time in a series.
     pub time_column: String,
     /// Column of each quantity, in the order of the settings.

@@ -378,6 +378,12 @@ impl Structure {
         &self.conditions
     }
 
+    /// Returns what is judged for lasting change. `None` without a table `[judge]`.
+    #[must_use]
+    pub fn judge(&self) -> Option<&JudgePlan> {
+        self.judge.as_ref()
+    }
+
     /// Returns the channel of each observation row.
     pub(crate) fn observations(&self) -> impl Iterator<Item = &Channel> {
         self.channels()

@@ -196,6 +196,54 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class LastingChange:
+    """A lasting change that has been found."""
+
+    kind: str
+    found_ns: int
+    since_ns: int
+    #: Loss of stiffness as a share, negative for a gain.
+    loss: float
+    interval: Interval
+
+
+@dataclass(frozen=True)
+class DayExpectation:
+    """Expected value of a day, and how far the measured value is from it."""
+
+    measured: float
+    expected: float
+    interval: Interval
+    residual: float
+    ln_evidence: float
+    ln_threshold: float
+    cusum_share: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """State of one quantity that is judged for lasting change."""
+
+    TYPE: ClassVar[str] = "judgement"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "judgement/{quantity}"
+
+    structure: str
+    quantity: str
+    time_ns: int
+    day_ns: Optional[int]
+    epoch_ns: Optional[int]
+    epochs: int
+    #: Whether all epochs contain measured samples.
+    measured: bool
+    state: str
+    change: Optional[LastingChange]
+    sentence: str
+    expectation: Optional[DayExpectation]
+    false_alarms_per_year: float
+
+
+@dataclass(frozen=True)
 class ClassPlausibility:
     """Plausibility of one model class, named `class` in the message."""
 
@@ -413,6 +461,7 @@ Message = Union[
     Outlier,
     SensorHealth,
     Condition,
+    Judgement,
     ModelClass,
     Fit,
     Monitoring,
@@ -430,6 +479,7 @@ MESSAGES: Tuple[Type[Any], ...] = (
     Outlier,
     SensorHealth,
     Condition,
+    Judgement,
     ModelClass,
     Fit,
     Monitoring,

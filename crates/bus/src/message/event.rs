@@ -58,6 +58,8 @@ pub enum EventKind {
     StateLost,
     /// A service can save its state again.
     StateBack,
+    /// A lasting change of a quantity was found.
+    LastingChange,
 }
 
 /// One event with its reason.

@@ -388,7 +388,9 @@ fn send(outbox: &mut Outbox, moment: Moment) -> Vec<String> {
                 let lines: Vec<String> = summary.lines.iter().map(short).collect();
                 sent.push(format!("{}: {}", summary.cause, lines.join("; ")));
             }
-            Report::Alert(_) | Report::Monitoring(_) => sent.push(state.to_owned()),
+            Report::Alert(_) | Report::Monitoring(_) | Report::Judgement(_) => {
+                sent.push(state.to_owned());
+            }
         }
     }
     sent
@@ -560,4 +562,65 @@ fn maintenance_of_one_part_mutes_only_this_part_and_its_repetitions() {
     assert_eq!(send(&mut outbox, at(s(100))), ["raised"]);
     // The repetition of each.
     assert_eq!(send(&mut outbox, at(s(200))), ["raised", "raised"]);
+}
+
+/// Returns the lasting loss of storey 2, found on a day.
+fn lasting_loss(day: i64) -> Content {
+    let sample = crate::samples::samples("house").pop().unwrap();
+    let Report::Judgement(mut display) = sample.report else {
+        panic!("{sample:?}")
+    };
+    display.quantity = name("storey-2");
+    display.change.as_mut().unwrap().found_ns = day * 86_400_000_000_000;
+    content(Report::Judgement(display))
+}
+
+#[test]
+fn a_lasting_loss_is_sent_once_beside_the_alert_of_the_same_part() {
+    let wish = Wish {
+        name: "pager".to_owned(),
+        states: vec![NoticeState::Raised, NoticeState::LastingLoss],
+        repeats: true,
+        ..Wish::default()
+    };
+    let mut outbox = Outbox::new(vec![wish]);
+    let mut keys = Vec::new();
+    let mut send = |outbox: &mut Outbox, second| {
+        while let Some(notice) = outbox.due(s(second)).pop() {
+            keys.push((second, notice.content.key));
+            outbox.done(0, true, s(second));
+        }
+    };
+    outbox.take(&lasting_loss(7), at(s(0)));
+    outbox.take(&lasting_loss(7), at(s(0)));
+    take(&mut outbox, &alert(20, AlertState::Raised), s(0));
+    send(&mut outbox, 0);
+    // Both are repeated, until the reference starts anew.
+    send(&mut outbox, 61);
+    outbox.forget_change(&name("house"), &name("storey-2"));
+    send(&mut outbox, 122);
+    let of_loss = "house/storey-2/604800000000000/lasting-loss".to_owned();
+    let of_alert = "house/storey-2/20000000000/raised".to_owned();
+    assert_eq!(
+        keys,
+        [
+            (0, of_loss.clone()),
+            (0, of_alert.clone()),
+            (61, of_alert.clone()),
+            (61, of_loss),
+            (122, of_alert),
+        ]
+    );
+}
+
+#[test]
+fn a_lasting_loss_of_replayed_samples_is_sent_to_nobody() {
+    let mut outbox = Outbox::new(vec![Wish {
+        states: vec![NoticeState::LastingLoss],
+        ..Wish::default()
+    }]);
+    let mut replayed = lasting_loss(7);
+    replayed.circumstances.origin = Origin::Replayed;
+    outbox.take(&replayed, at(s(0)));
+    assert_eq!((outbox.due(s(0)), outbox.simulated), (Vec::new(), 1));
 }

@@ -1,21 +1,33 @@
-//! `spandrel judge`: judges a series of natural frequencies or stiffnesses offline.
+//! `spandrel judge`: judges live estimates, or a series of natural frequencies or stiffnesses offline.
 
 use super::print;
+use super::run::{Services, one};
 use crate::cli::JudgeArguments;
 use crate::error::AppError;
 use crate::judge_report::{DayLine, Summary, report_text};
+use crate::services::Share;
 use spandrel_judge::{Epoch, Judge};
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
 use spandrel_structure::{JudgePlan, JudgedStructure};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Judges every day of a series and prints what changed, or one line of JSON per judgement.
+/// Runs the service, or judges every day of a series and prints what changed, or one line of JSON per
+/// judgement.
 ///
 /// # Errors
-/// A file is not valid, or a condition has a value that its unit does not allow.
+/// A file is not valid, a condition has a value that its unit does not allow, or the service fails.
 pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
-    let structure = JudgedStructure::read(&arguments.structure)?;
+    let structures = &arguments.service.structures;
+    let structure = match (structures.as_slice(), arguments.series.is_empty()) {
+        (_, true) if arguments.report || arguments.json => return Err(AppError::NoSeries),
+        (_, true) => return one(&arguments.service, Services::JUDGE, Share::ALL),
+        ([structure], false) => JudgedStructure::read(structure)?,
+        (several, false) => {
+            let found = several.len();
+            return Err(AppError::SeriesOfStructures { found });
+        }
+    };
     let mut judge = Judge::new(structure.plan.settings.clone())?;
     let mut judgements = Vec::new();
     let mut epochs = 0_usize;

@@ -1,5 +1,5 @@
-//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `history` and `notify`: run services
-//! until stopped.
+//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `judge`, `history` and `notify`: run
+//! services until stopped.
 
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
@@ -37,6 +37,7 @@ impl Services {
         Service::Identify,
         Service::Fuse,
         Service::Alert,
+        Service::Judge,
         Service::History,
         Service::Notify,
         Service::Dashboard,
@@ -51,6 +52,8 @@ impl Services {
     pub const FUSE: Self = Self(&[Service::Fuse]);
     /// Only the alert service.
     pub const ALERT: Self = Self(&[Service::Alert]);
+    /// Only the judgement of lasting changes.
+    pub const JUDGE: Self = Self(&[Service::Judge]);
     /// Only the history.
     pub const HISTORY: Self = Self(&[Service::History]);
     /// Only notifications.
@@ -118,6 +121,10 @@ impl Plan {
         {
             return Err(AppError::NothingToFuse);
         }
+        let is_judged = |watched: &Watched| watched.structure.judge().is_some();
+        if services == Services::JUDGE && !watched.iter().any(is_judged) {
+            return Err(AppError::NothingToJudge);
+        }
         let database = if services.has(Service::History) {
             settings.history.address()?
         } else {
@@ -144,6 +151,7 @@ impl Plan {
             || services.has(Service::Identify)
             || services.has(Service::Fuse)
             || services.has(Service::Alert)
+            || services.has(Service::Judge)
             || services.has(Service::Notify);
         let state = if remembers {
             settings.state.state()?
@@ -174,6 +182,10 @@ impl Plan {
         share: Share<'_>,
     ) -> Result<(), AppError> {
         let is_fused = |watched: &Watched| watched.structure.fusion().is_some();
+        let any_judged = self
+            .watched
+            .iter()
+            .any(|watched| watched.structure.judge().is_some());
         let (any_fused, any_whole) = (
             self.watched.iter().any(is_fused),
             self.watched.iter().any(|watched| !is_fused(watched)),
@@ -188,6 +200,10 @@ impl Plan {
             (services == Services::IDENTIFY && any_fused, Need::PUT_LOCAL),
             (services.has(Service::Fuse) && any_fused, Need::PUT_FEEDBACK),
             (services.has(Service::Alert), Need::PUT_ALERTS),
+            (
+                services.has(Service::Judge) && any_judged,
+                Need::PUT_JUDGEMENTS,
+            ),
             (self.database.is_some(), Need::ANSWER_HISTORY),
             (
                 services.has(Service::Notify) && !self.settings.notify.is_empty(),
@@ -254,6 +270,9 @@ impl Plan {
         }
         if services.has(Service::Notify) && !settings.notify.is_empty() {
             running.start_notify(&settings.notify).await?;
+        }
+        if services.has(Service::Judge) {
+            running.start_judge().await?;
         }
         if services.has(Service::Alert) {
             running.start_alert().await?;

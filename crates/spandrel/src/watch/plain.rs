@@ -5,6 +5,7 @@
 
 use super::conditions::condition_texts;
 use super::heard::Origin;
+use super::judgements::judgement_texts;
 use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
 use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
@@ -33,7 +34,9 @@ pub fn alert_line(alert: &AlertMessage) -> String {
 /// Returns the line of a structure: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG,
 /// …`.
 pub fn structure_line(name: &Name, structure: &StructureState) -> String {
-    let conditions: Vec<String> = condition_texts(structure).collect();
+    let conditions: Vec<String> = condition_texts(structure)
+        .chain(judgement_texts(structure))
+        .collect();
     let conditions = match conditions.is_empty() {
         true => String::new(),
         false => format!("; {}", conditions.join(", ")),

@@ -23,6 +23,7 @@ const NEEDS: Needs = Needs {
         T::Losses,
         T::Noise,
         T::Conditions,
+        T::Judgements,
         T::Classes,
         T::Fit,
         T::Monitoring,

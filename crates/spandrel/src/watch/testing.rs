@@ -2,9 +2,10 @@
 
 use super::heard::Heard;
 use spandrel_bus::{
-    AlertMessage, AlertState, ClassPlausibility, ConditionDisplay, CredibleInterval, Event,
-    EventKind, Header, LossDisplay, ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay,
-    Pace, ParameterDisplay, Progress, Service, Status,
+    AlertMessage, AlertState, ChangeKind, ClassPlausibility, ConditionDisplay, CredibleInterval,
+    Event, EventKind, Header, JudgementDisplay, JudgementState, LastingChange, LossDisplay,
+    ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace, ParameterDisplay,
+    Progress, Service, Status,
 };
 use spandrel_listener::{Input, Instance};
 use std::collections::{BTreeMap, BTreeSet};
@@ -128,6 +129,34 @@ pub fn condition(condition: &str, value: f64) -> ConditionDisplay {
         unit: "degC".to_owned(),
         interval_s: Some(600.0),
         instrument: None,
+    }
+}
+
+/// Returns the judgement of a quantity of `tower` that has lost 5 %.
+pub fn lasting_loss(quantity: &str) -> JudgementDisplay {
+    JudgementDisplay {
+        structure: name("tower"),
+        quantity: name(quantity),
+        time_ns: TIME_NS,
+        day_ns: Some(0),
+        epoch_ns: Some(0),
+        epochs: 1,
+        measured: true,
+        state: JudgementState::Judged,
+        change: Some(LastingChange {
+            kind: ChangeKind::LastingLoss,
+            found_ns: 0,
+            since_ns: 0,
+            loss: 0.05,
+            interval: CredibleInterval {
+                level: 0.95,
+                low: 0.04,
+                high: 0.06,
+            },
+        }),
+        sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
+        expectation: None,
+        false_alarms_per_year: 0.1,
     }
 }
 

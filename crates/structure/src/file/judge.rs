@@ -21,6 +21,10 @@ const UNITS: [(&str, Unit); 5] = [
     ("other", Unit::Other),
 ];
 
+/// Default of `judge.epoch-s`, and its range (s).
+const EPOCH_S: u32 = 900;
+const EPOCH_RANGE_S: (u32, u32) = (2, 86_400);
+
 /// Default of `judge.time-column`.
 const TIME_COLUMN: &str = "time";
 
@@ -59,6 +63,10 @@ pub(super) fn read_judge(section: Option<Section<'_>>) -> Option<JudgePlan> {
         true => Season::Waived,
         false => Season::Required,
     };
+    let (shortest, longest) = EPOCH_RANGE_S;
+    let epoch_s = section
+        .whole("epoch-s", shortest as usize, longest as usize)
+        .map_or(EPOCH_S, |seconds| seconds.into_inner() as u32);
     let time_column = section
         .text("time-column")
         .map_or_else(|| TIME_COLUMN.to_owned(), Spanned::into_inner);
@@ -106,6 +114,7 @@ pub(super) fn read_judge(section: Option<Section<'_>>) -> Option<JudgePlan> {
             quantities: quantities.into_iter().map(|entry| entry.item).collect(),
             conditions: conditions.into_iter().map(|entry| entry.item).collect(),
         },
+        epoch_s,
         time_column,
     })
 }

@@ -1,0 +1,373 @@
+//! The file of the epochs of one structure: a CSV series, to which each epoch appends one line.
+//!
+//! The last column is a check value over the line and the check value of the line before. The file
+//! therefore reveals a damaged, missing or added line. `spandrel judge --series` ignores this
+//! column, as it ignores the deviations.
+
+use crate::epochs::ClosedEpoch;
+use crate::error::JudgingError;
+use spandrel_checkpoint::{Failures, fingerprint};
+use spandrel_judge::Epoch;
+use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
+use spandrel_structure::JudgePlan;
+use std::fmt::Write as _;
+use std::fs::{DirBuilder, File, OpenOptions};
+use std::io::{Cursor, ErrorKind, Write as _};
+use std::os::unix::fs::DirBuilderExt as _;
+use std::path::{Path, PathBuf};
+use tracing::{info, warn};
+
+/// Name of the file, below the folder of the checkpoints of a structure.
+pub(crate) const FILE: &str = "judge-epochs.csv";
+/// Name of the column that is 1 if all samples were measured, and otherwise 0.
+const MEASURED: &str = "spandrel-measured";
+/// Name of the last column.
+const CHECK: &str = "spandrel-check";
+/// Number of bytes of a check value.
+const CHECK_BYTES: usize = 8;
+/// Maximum number of epochs that wait for a disk that cannot be written.
+const MOST_WAITING: usize = 10_000;
+/// Maximum number of files that were set aside.
+const MOST_ASIDE: u32 = 1000;
+/// Permissions of a new folder. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
+const NS_PER_S: i64 = 1_000_000_000;
+
+/// Appends epochs to a file.
+#[derive(Debug)]
+pub(crate) struct EpochLog {
+    path: PathBuf,
+    header: String,
+    /// Check value of the last line.
+    check: String,
+    /// Size of the file up to the last complete line (bytes).
+    length: u64,
+    /// Lines that are not written yet, without their check values.
+    waiting: Vec<String>,
+    /// Number of epochs that are lost, because too many were waiting.
+    lost: u64,
+    failures: Failures,
+}
+
+impl EpochLog {
+    /// Opens or creates the file in a folder. Calls `judge` for each epoch in it.
+    ///
+    /// A last line that is incomplete is removed. If another line is damaged, or if the columns have
+    /// changed, the file is set aside. The epochs before a damaged line are copied.
+    ///
+    /// # Errors
+    /// The file cannot be read or written, or a line is not an epoch of `plan`.
+    pub(crate) fn open(
+        folder: &Path,
+        plan: &JudgePlan,
+        judge: impl FnMut(ClosedEpoch),
+    ) -> Result<Self, JudgingError> {
+        let path = folder.join(FILE);
+        let failed = |what, source| JudgingError::File {
+            what,
+            path: path.clone(),
+            source,
+        };
+        let mut builder = DirBuilder::new();
+        let created = builder.recursive(true).mode(FOLDER_MODE).create(folder);
+        created.map_err(|error| failed("write", error))?;
+        let header = header(plan);
+        let text = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+            Err(error) => return Err(failed("read", error)),
+        };
+        let found = Sound::find(&text, &header);
+        let sound = text.get(..found.length).unwrap_or_default();
+        if !text.is_empty() && found.end == End::Damaged {
+            let aside = set_aside(&path).map_err(|error| failed("set aside", error))?;
+            warn!(
+                file = %path.display(), aside = %aside.display(), epochs = found.lines,
+                "the file of the epochs has other columns or a damaged line; only the epochs before it are used"
+            );
+        }
+        let is_whole = found.end == End::Whole && !text.is_empty();
+        if !is_whole {
+            let begin = match sound.is_empty() {
+                true => header.as_bytes(),
+                false => sound,
+            };
+            write_whole(&path, begin).map_err(|error| failed("write", error))?;
+        }
+        if found.lines > 0 {
+            replay(&path, sound, plan, judge)?;
+            info!(file = %path.display(), epochs = found.lines, "resumed from the epochs");
+        }
+        let length = match sound.is_empty() {
+            true => header.len(),
+            false => sound.len(),
+        };
+        Ok(Self {
+            check: found.check,
+            length: length as u64,
+            path,
+            header,
+            waiting: Vec::new(),
+            lost: 0,
+            failures: Failures::default(),
+        })
+    }
+
+    /// Appends an epoch. On return it is on disk, or the failure is logged and the line waits.
+    ///
+    /// The call blocks the thread during the write.
+    pub(crate) fn append(&mut self, closed: &ClosedEpoch) {
+        match self.waiting.len() < MOST_WAITING {
+            true => self.waiting.push(line(closed)),
+            false => self.lost += 1,
+        }
+        self.flush();
+    }
+
+    /// Tries to write the lines that wait.
+    pub(crate) fn flush(&mut self) {
+        if self.waiting.is_empty() {
+            return;
+        }
+        match self.write() {
+            Ok(end) => {
+                (self.length, self.check) = (end.length, end.check);
+                self.waiting.clear();
+                if let Some(failures) = self.failures.succeeded() {
+                    info!(failures, "epochs are saved again");
+                }
+            }
+            Err(error) if self.failures.failed() => {
+                let failures = self.failures.consecutive();
+                warn!(file = %self.path.display(), %error, failures, "cannot save epochs; a restart would lose them");
+            }
+            Err(_) => {}
+        }
+    }
+
+    /// Returns the counts of failed writes and of lost epochs.
+    pub(crate) fn drops(&self) -> impl Iterator<Item = (String, u64)> {
+        let lost = (self.lost > 0).then(|| ("epochs-not-kept".to_owned(), self.lost));
+        self.failures.drops().into_iter().chain(lost)
+    }
+
+    fn write(&self) -> std::io::Result<Written> {
+        let mut file = OpenOptions::new()
+            .append(true)
+            .create(true)
+            .open(&self.path)?;
+        let mut end = Written {
+            length: self.length,
+            check: self.check.clone(),
+        };
+        let mut text = String::new();
+        match file.metadata()?.len() {
+            // The file is new, because its folder was lost.
+            0 => {
+                text.push_str(&self.header);
+                end = Written {
+                    length: 0,
+                    check: check(&self.header, ""),
+                };
+            }
+            // An earlier attempt has written a part of a line.
+            found if found > self.length => file.set_len(self.length)?,
+            _ => {}
+        }
+        for line in &self.waiting {
+            end.check = check(line, &end.check);
+            text.push_str(line);
+            text.push_str(&end.check);
+            text.push('\n');
+        }
+        file.write_all(text.as_bytes())?;
+        file.sync_data()?;
+        end.length += text.len() as u64;
+        Ok(end)
+    }
+}
+
+/// End of a file that was written.
+#[derive(Debug)]
+struct Written {
+    length: u64,
+    check: String,
+}
+
+/// How a file ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// With a sound line.
+    Whole,
+    /// With a part of a line, as after a crash.
+    Torn,
+    /// A line is damaged, or the header differs.
+    Damaged,
+}
+
+/// The sound part of a file.
+#[derive(Debug, PartialEq, Eq)]
+struct Sound {
+    /// Its size (bytes), with the header.
+    length: usize,
+    /// Number of epochs.
+    lines: usize,
+    /// Check value of the last line.
+    check: String,
+    end: End,
+}
+
+impl Sound {
+    fn find(bytes: &[u8], header: &str) -> Self {
+        let mut sound = Self {
+            length: 0,
+            lines: 0,
+            check: check(header, ""),
+            end: End::Whole,
+        };
+        if header.as_bytes().starts_with(bytes) && bytes.len() < header.len() {
+            sound.end = End::Torn; // a crash at the first start
+            return sound;
+        }
+        let Some(mut rest) = bytes.strip_prefix(header.as_bytes()) else {
+            sound.end = End::Damaged;
+            return sound;
+        };
+        sound.length = header.len();
+        while let Some(end) = rest.iter().position(|byte| *byte == b'\n') {
+            let (line, after) = rest.split_at(end + 1);
+            let Some(found) = checked(line, &sound.check) else {
+                sound.end = End::Damaged;
+                return sound;
+            };
+            sound.check = found;
+            sound.length += line.len();
+            sound.lines += 1;
+            rest = after;
+        }
+        if !rest.is_empty() {
+            sound.end = End::Torn;
+        }
+        sound
+    }
+}
+
+/// Returns the check value of a sound line.
+fn checked(line: &[u8], before: &str) -> Option<String> {
+    let line = std::str::from_utf8(line).ok()?.strip_suffix('\n')?;
+    let split = line.rfind(',')? + 1;
+    let expected = check(&line[..split], before);
+    (line[split..] == expected).then_some(expected)
+}
+
+/// Returns the check value of the text of a line, which follows a line with the value `before`.
+fn check(text: &str, before: &str) -> String {
+    let all = fingerprint(&format!("{before}{text}"));
+    let mut value = String::new();
+    for byte in &all[..CHECK_BYTES] {
+        // Writing to a string cannot fail.
+        let _ = write!(value, "{byte:02x}");
+    }
+    value
+}
+
+/// Returns the first line, with its end.
+fn header(plan: &JudgePlan) -> String {
+    let columns = plan.quantity_columns.iter().chain(&plan.condition_columns);
+    let mut fields = vec![quoted(&plan.time_column)];
+    fields.extend(columns.map(|column| quoted(column)));
+    let quantities = plan.settings.quantities.iter();
+    fields.extend(quantities.map(|quantity| format!("deviation({})", quantity.name)));
+    fields.extend([MEASURED, CHECK].map(str::to_owned));
+    fields.join(",") + "\n"
+}
+
+/// Returns a text as a field of a CSV file.
+fn quoted(text: &str) -> String {
+    match text.contains(['"', ',', '\n', '\r']) {
+        true => format!("\"{}\"", text.replace('"', "\"\"")),
+        false => text.to_owned(),
+    }
+}
+
+/// Returns the line of an epoch up to its check value. A missing value is empty.
+fn line(closed: &ClosedEpoch) -> String {
+    let (s, ns) = (
+        closed.middle_ns.div_euclid(NS_PER_S),
+        closed.middle_ns.rem_euclid(NS_PER_S),
+    );
+    let mut line = format!("{s}.{ns:09},");
+    let values = closed.epoch.quantities.iter();
+    let values = values.chain(&closed.epoch.conditions);
+    for value in values.chain(&closed.deviations) {
+        if let Some(value) = value {
+            // The shortest text that gives the same bits.
+            let _ = write!(line, "{value}");
+        }
+        line.push(',');
+    }
+    line.push_str(if closed.is_measured { "1," } else { "0," });
+    line
+}
+
+/// Reads the epochs as `spandrel judge --series` does.
+fn replay(
+    path: &Path,
+    sound: &[u8],
+    plan: &JudgePlan,
+    mut judge: impl FnMut(ClosedEpoch),
+) -> Result<(), JudgingError> {
+    let quantities = plan.settings.quantities.iter();
+    let names = quantities.map(|quantity| &quantity.name);
+    let conditions = plan.settings.conditions.iter();
+    let names = names.chain(conditions.map(|condition| &condition.name));
+    let columns = plan.quantity_columns.iter().chain(&plan.condition_columns);
+    let channels = names
+        .zip(columns)
+        .map(|(name, column)| ChannelColumn::new(name).with_column(column))
+        .chain([ChannelColumn::new(MEASURED)]);
+    let mapping = ColumnMapping::new(channels.collect()).with_time_column(&plan.time_column);
+    let mut reader = CsvReader::new(Box::new(Cursor::new(sound.to_vec())), path, &mapping)?;
+    let (count, columns) = (
+        plan.settings.quantities.len(),
+        plan.settings.quantities.len() + plan.settings.conditions.len(),
+    );
+    while let Some(row) = reader.next_row()? {
+        let value = |value: &f64| (!value.is_nan()).then_some(*value);
+        let (values, is_measured) = row.values.split_at(columns);
+        let (quantities, conditions) = values.split_at(count);
+        judge(ClosedEpoch {
+            middle_ns: row.time_ns,
+            epoch: Epoch {
+                time_s: ClosedEpoch::time_s(row.time_ns),
+                quantities: quantities.iter().map(value).collect(),
+                conditions: conditions.iter().map(value).collect(),
+            },
+            deviations: Vec::new(), // no decision depends on them
+            is_measured: is_measured == [1.0],
+        });
+    }
+    Ok(())
+}
+
+/// Renames a file, so that a person can look at it.
+fn set_aside(path: &Path) -> std::io::Result<PathBuf> {
+    let mut free = (1..=MOST_ASIDE).map(|number| path.with_extension(format!("{number}.csv")));
+    let free = free
+        .find(|aside| !aside.exists())
+        .ok_or_else(|| std::io::Error::from(ErrorKind::AlreadyExists))?;
+    std::fs::rename(path, &free)?;
+    Ok(free)
+}
+
+/// Writes a file that is either complete or absent.
+fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let temporary = path.with_extension("csv.new");
+    let mut file = File::create(&temporary)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    std::fs::rename(&temporary, path)
+}
+
+#[cfg(test)]
+mod tests;

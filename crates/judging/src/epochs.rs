@@ -1,0 +1,362 @@
+//! Forms epochs: means of the estimates, with the conditions at that time.
+//!
+//! An epoch is a stretch of measurement time that begins at a multiple of its length since 1970. It
+//! is closed when an estimate of the second next epoch arrives, so that conditions have one epoch of
+//! time to arrive. Its value of a quantity is the geometric mean of the estimates, because the
+//! judgement concerns ln(value). An estimate counts only if the present data reveal damage of its
+//! parameter, and if it is known whether its samples are measured.
+
+use spandrel_bus::{
+    ConditionDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay,
+    REFERENCE_IS_LEARNT,
+};
+use spandrel_judge::{ConditionKind, Epoch};
+use spandrel_structure::Condition;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Silence of the alert service after which nothing is known about the monitoring. The service
+/// reports each second.
+const UNKNOWN_AFTER: Duration = Duration::from_secs(5);
+/// Number of expected intervals for which the value of a condition holds.
+const HOLDS_FOR_INTERVALS: f64 = 2.0;
+/// Maximum number of epochs for which values of a condition are kept. Conditions arrive without
+/// estimates while the monitoring is blind.
+const CONDITIONS_KEPT: usize = 64;
+/// Difference between the scales K and °C.
+const KELVIN_OF_0_CELSIUS: f64 = 273.15;
+const NS_PER_S: f64 = 1e9;
+
+/// What the epochs are formed of.
+#[derive(Debug, Clone)]
+pub(crate) struct Sources {
+    /// Length of an epoch (ns).
+    pub(crate) length_ns: i64,
+    /// Parameter of each quantity, in the order of the settings. `None` if the quantity is no
+    /// parameter of the structure.
+    pub(crate) parameters: Vec<Option<Name>>,
+    /// Conditions, in the order of the settings.
+    pub(crate) conditions: Vec<ConditionSource>,
+}
+
+/// A condition of the judgement.
+#[derive(Debug, Clone)]
+pub(crate) struct ConditionSource {
+    pub(crate) name: Name,
+    pub(crate) kind: ConditionKind,
+    /// The condition as the structure file describes it, if it does.
+    pub(crate) declared: Option<Condition>,
+}
+
+/// A message or the passage of time.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum EpochInput {
+    /// Time since a fixed moment. Later inputs are received at this time.
+    Now(Duration),
+    Monitoring(MonitoringDisplay),
+    /// Whether the samples are measured now. `None` if that is unknown.
+    Measured(Option<bool>),
+    Condition(ConditionDisplay),
+    Parameter(ParameterDisplay),
+}
+
+/// An epoch that is over.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct ClosedEpoch {
+    /// Middle (ns since 1970-01-01 UTC).
+    pub(crate) middle_ns: i64,
+    /// Values of the quantities and conditions.
+    pub(crate) epoch: Epoch,
+    /// Standard deviation of ln(value) of each quantity: of the estimates, and between them.
+    pub(crate) deviations: Vec<Option<f64>>,
+    /// Whether all samples were measured.
+    pub(crate) is_measured: bool,
+}
+
+impl ClosedEpoch {
+    /// Returns the time in the unit of the judgement (s), exactly as a reader of a series does.
+    pub(crate) fn time_s(middle_ns: i64) -> f64 {
+        middle_ns as f64 * 1e-9
+    }
+}
+
+/// The epochs that are not over yet.
+#[derive(Debug)]
+pub(crate) struct Epochs {
+    sources: Sources,
+    /// Epochs by their numbers.
+    open: BTreeMap<i64, Open>,
+    /// Values of each condition, by the number of the epoch.
+    conditions: Vec<ConditionValues>,
+    /// Number of the last closed epoch.
+    closed: Option<i64>,
+    monitoring: Option<(MonitoringDisplay, Duration)>,
+    is_measured: Option<bool>,
+    now: Duration,
+    newest_ns: Option<i64>,
+    refused: BTreeMap<&'static str, u64>,
+}
+
+/// An epoch that is not over yet.
+#[derive(Debug)]
+struct Open {
+    quantities: Vec<Sums>,
+    is_measured: bool,
+}
+
+/// Sums over the estimates of one quantity.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    count: u32,
+    /// Σ ln(value) and Σ ln(value)², relative to `first`.
+    log: f64,
+    square: f64,
+    first: f64,
+    /// Σ (std / mean)².
+    variance: f64,
+}
+
+#[derive(Debug, Default)]
+struct ConditionValues {
+    by_epoch: BTreeMap<i64, ConditionMean>,
+    newest_ns: Option<i64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct ConditionMean {
+    count: u32,
+    sum: f64,
+    last: f64,
+    last_ns: i64,
+    /// Time for which the last value holds (ns).
+    holds_ns: i64,
+}
+
+impl Epochs {
+    /// Begins after the epoch with this middle (ns), which an earlier run has closed.
+    pub(crate) fn new(sources: Sources, closed_ns: Option<i64>) -> Self {
+        let conditions = sources.conditions.iter();
+        Self {
+            open: BTreeMap::new(),
+            conditions: conditions.map(|_| ConditionValues::default()).collect(),
+            closed: closed_ns.map(|middle_ns| middle_ns.div_euclid(sources.length_ns)),
+            monitoring: None,
+            is_measured: None,
+            now: Duration::ZERO,
+            newest_ns: closed_ns,
+            refused: BTreeMap::new(),
+            sources,
+        }
+    }
+
+    /// Returns the time of the newest estimate (ns since 1970-01-01 UTC).
+    pub(crate) fn newest_ns(&self) -> Option<i64> {
+        self.newest_ns
+    }
+
+    /// Returns the number of inputs that were not used, by reason.
+    pub(crate) fn refused(&self) -> &BTreeMap<&'static str, u64> {
+        &self.refused
+    }
+
+    /// Takes an input, and appends the epochs that it closes to `closed`.
+    pub(crate) fn handle(&mut self, input: EpochInput, closed: &mut Vec<ClosedEpoch>) {
+        match input {
+            EpochInput::Now(now) => self.now = now,
+            EpochInput::Monitoring(display) => self.monitoring = Some((display, self.now)),
+            EpochInput::Measured(is_measured) => self.is_measured = is_measured,
+            EpochInput::Condition(display) => {
+                if let Err(reason) = self.take_condition(&display) {
+                    *self.refused.entry(reason).or_default() += 1;
+                }
+            }
+            EpochInput::Parameter(display) => {
+                if let Err(reason) = self.take_parameter(&display, closed) {
+                    *self.refused.entry(reason).or_default() += 1;
+                }
+            }
+        }
+    }
+
+    fn take_parameter(
+        &mut self,
+        display: &ParameterDisplay,
+        closed: &mut Vec<ClosedEpoch>,
+    ) -> Result<(), &'static str> {
+        let is_it = |parameter: &Option<Name>| parameter.as_ref() == Some(&display.parameter);
+        let Some(index) = self.sources.parameters.iter().position(is_it) else {
+            return Ok(()); // not judged
+        };
+        let number = display.time_ns.div_euclid(self.sources.length_ns);
+        if self.closed.is_some_and(|closed| number <= closed) {
+            return Err("late-estimates");
+        }
+        self.newest_ns = self.newest_ns.max(Some(display.time_ns));
+        self.close_before(number.saturating_sub(1), closed);
+        let is_measured = self.is_measured.ok_or("estimates-of-unknown-origin")?;
+        if !self.is_sighted(&display.parameter) {
+            return Err("blind-estimates");
+        }
+        if display.mean.is_nan() || display.mean <= 0.0 {
+            return Err("impossible-estimates");
+        }
+        let quantities = self.sources.parameters.len();
+        let open = self.open.entry(number).or_insert_with(|| Open {
+            quantities: vec![Sums::default(); quantities],
+            is_measured: true,
+        });
+        open.is_measured &= is_measured;
+        if let Some(sums) = open.quantities.get_mut(index) {
+            sums.add(display.mean, display.std);
+        }
+        Ok(())
+    }
+
+    /// Returns `true` if the present data reveal damage of a parameter. While the alert service
+    /// learns a reference, they do.
+    fn is_sighted(&self, parameter: &Name) -> bool {
+        let Some((display, at)) = &self.monitoring else {
+            return false;
+        };
+        if self.now.saturating_sub(*at) > UNKNOWN_AFTER {
+            return false;
+        }
+        let is_blind = display.state == MonitoringState::Blind && !display.only_learns();
+        let mut parameters = display.parameters.iter();
+        let of_it = parameters.find(|of| of.parameter == *parameter);
+        let is_blind_here = of_it.is_some_and(|of| {
+            of.state == MonitoringState::Blind && of.why.as_deref() != Some(REFERENCE_IS_LEARNT)
+        });
+        !is_blind && !is_blind_here
+    }
+
+    fn take_condition(&mut self, display: &ConditionDisplay) -> Result<(), &'static str> {
+        let mut sources = self.sources.conditions.iter().zip(&mut self.conditions);
+        let Some((source, values)) = sources.find(|(source, _)| source.name == display.name) else {
+            return Ok(()); // explains nothing
+        };
+        let declared = source.declared.as_ref();
+        let is_in_unit = declared.is_none_or(|declared| declared.unit() == display.unit);
+        let value = source.value(display).filter(|_| is_in_unit);
+        let value = value.ok_or("wrong-unit-conditions")?;
+        let is_plausible = declared.is_none_or(|declared| declared.is_plausible(display.value));
+        if !is_plausible || source.kind.convert(value).is_err() {
+            return Err("out-of-range-conditions");
+        }
+        if values.newest_ns >= Some(display.time_ns) {
+            return Err("repeated-conditions");
+        }
+        let length_ns = self.sources.length_ns;
+        let number = display.time_ns.div_euclid(length_ns);
+        values.newest_ns = Some(display.time_ns);
+        let declared_s = declared.and_then(Condition::interval_s);
+        let interval_s = display.interval_s.or(declared_s).unwrap_or(0.0);
+        let holds_ns = (HOLDS_FOR_INTERVALS * interval_s * NS_PER_S) as i64;
+        let mean = values.by_epoch.entry(number).or_insert(ConditionMean {
+            count: 0,
+            sum: 0.0,
+            last: value,
+            last_ns: display.time_ns,
+            holds_ns,
+        });
+        mean.count += 1;
+        mean.sum += value;
+        (mean.last, mean.last_ns) = (value, display.time_ns);
+        mean.holds_ns = holds_ns.max(length_ns);
+        if values.by_epoch.len() > CONDITIONS_KEPT {
+            values.by_epoch.pop_first();
+        }
+        Ok(())
+    }
+
+    /// Closes all epochs before a number.
+    fn close_before(&mut self, number: i64, closed: &mut Vec<ClosedEpoch>) {
+        while let Some(first) = self.open.first_entry() {
+            if *first.key() >= number {
+                return;
+            }
+            let (epoch, open) = first.remove_entry();
+            let sums = &open.quantities;
+            let length_ns = self.sources.length_ns;
+            let start_ns = epoch.saturating_mul(length_ns);
+            let middle_ns = start_ns.saturating_add(length_ns / 2);
+            let conditions = self.conditions.iter_mut();
+            let conditions = conditions.map(|values| values.at(epoch, start_ns));
+            closed.push(ClosedEpoch {
+                middle_ns,
+                epoch: Epoch {
+                    time_s: ClosedEpoch::time_s(middle_ns),
+                    quantities: sums.iter().map(Sums::value).collect(),
+                    conditions: conditions.collect(),
+                },
+                deviations: sums.iter().map(Sums::deviation).collect(),
+                is_measured: open.is_measured,
+            });
+            self.closed = Some(epoch);
+        }
+    }
+}
+
+impl Sums {
+    fn add(&mut self, mean: f64, std: f64) {
+        if self.count == 0 {
+            self.first = mean.ln();
+        }
+        let log = mean.ln() - self.first;
+        self.count += 1;
+        self.log += log;
+        self.square += log * log;
+        self.variance += (std / mean).powi(2);
+    }
+
+    /// Returns the geometric mean of the estimates.
+    fn value(&self) -> Option<f64> {
+        let value = (self.first + self.log / f64::from(self.count)).exp();
+        (self.count > 0 && value.is_finite() && value > 0.0).then_some(value)
+    }
+
+    /// Returns the standard deviation of ln(value): successive estimates depend on the same data, so
+    /// their mean is not more certain than one of them.
+    fn deviation(&self) -> Option<f64> {
+        let count = f64::from(self.count);
+        let between = self.square / count - (self.log / count).powi(2);
+        let deviation = (self.variance / count + between.max(0.0)).sqrt();
+        (self.count > 0 && deviation.is_finite()).then_some(deviation)
+    }
+}
+
+impl ConditionSource {
+    /// Converts a value to the unit of the judgement. Returns `None` if the units do not match.
+    fn value(&self, display: &ConditionDisplay) -> Option<f64> {
+        let (unit, value) = (display.unit.as_str(), display.value);
+        match self.kind {
+            ConditionKind::Amplitude | ConditionKind::Other { .. } => Some(value),
+            ConditionKind::Celsius if unit == "degC" => Some(value),
+            ConditionKind::Kelvin if unit == "K" => Some(value),
+            ConditionKind::Celsius if unit == "K" => Some(value - KELVIN_OF_0_CELSIUS),
+            ConditionKind::Kelvin if unit == "degC" => Some(value + KELVIN_OF_0_CELSIUS),
+            ConditionKind::Fahrenheit if unit == "degC" => Some(1.8 * value + 32.0),
+            ConditionKind::Fahrenheit if unit == "K" => {
+                Some(1.8 * (value - KELVIN_OF_0_CELSIUS) + 32.0)
+            }
+            ConditionKind::Celsius | ConditionKind::Kelvin | ConditionKind::Fahrenheit => None,
+        }
+    }
+}
+
+impl ConditionValues {
+    /// Returns the mean value in an epoch, or the last one before it if that still holds at its
+    /// start. Forgets what later epochs do not need.
+    fn at(&mut self, epoch: i64, start_ns: i64) -> Option<f64> {
+        let (number, mean) = self.by_epoch.range(..=epoch).next_back()?;
+        let (number, mean) = (*number, *mean);
+        self.by_epoch = self.by_epoch.split_off(&number);
+        if number == epoch {
+            return Some(mean.sum / f64::from(mean.count));
+        }
+        (start_ns.saturating_sub(mean.last_ns) <= mean.holds_ns).then_some(mean.last)
+    }
+}
+
+#[cfg(test)]
+mod tests;

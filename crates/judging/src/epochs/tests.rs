@@ -1,0 +1,167 @@
+use super::*;
+use crate::testing::{EPOCH_S, S, deck, estimate, monitoring, name, sources};
+use spandrel_bus::ParameterMonitoring;
+
+const EPOCH: i64 = EPOCH_S as i64;
+
+fn sighted() -> Epochs {
+    let mut epochs = Epochs::new(sources(), None);
+    let watching = monitoring(MonitoringState::Watching, &[]);
+    handle(&mut epochs, EpochInput::Monitoring(watching));
+    handle(&mut epochs, EpochInput::Measured(Some(true)));
+    epochs
+}
+
+fn handle(epochs: &mut Epochs, input: EpochInput) -> Vec<ClosedEpoch> {
+    let mut closed = Vec::new();
+    epochs.handle(input, &mut closed);
+    closed
+}
+
+fn take(epochs: &mut Epochs, second: i64, mean: f64) -> Vec<ClosedEpoch> {
+    handle(epochs, EpochInput::Parameter(estimate(second, mean)))
+}
+
+fn refused(epochs: &Epochs, reason: &str) -> u64 {
+    epochs.refused().get(reason).copied().unwrap_or(0)
+}
+
+/// Closes the first epoch and returns it.
+fn first(epochs: &mut Epochs) -> ClosedEpoch {
+    take(epochs, 2 * EPOCH, 1.0).remove(0)
+}
+
+#[test]
+fn an_epoch_is_the_geometric_mean_and_closes_when_the_second_next_begins() {
+    let mut epochs = sighted();
+    assert_eq!(take(&mut epochs, 10, 0.5), []);
+    assert_eq!(take(&mut epochs, EPOCH - 1, 2.0), []);
+    assert_eq!(take(&mut epochs, 2 * EPOCH - 1, 3.0), []);
+    let closed = first(&mut epochs);
+    assert_eq!(closed.middle_ns, EPOCH / 2 * S);
+    let value = closed.epoch.quantities[0].unwrap();
+    assert!((value - 1.0).abs() < 1e-15, "{value}"); // √(0.5 · 2)
+    assert_eq!(closed.epoch.quantities[1], None);
+    // ln(value) is ± ln 2, and the mean of (std / mean)² is (0.02² + 0.005²) / 2.
+    let expected = (2_f64.ln().powi(2) + (4e-4 + 2.5e-5) / 2.0).sqrt();
+    let deviation = closed.deviations[0].unwrap();
+    assert!((deviation - expected).abs() < 1e-12, "{deviation}");
+}
+
+#[test]
+fn monitoring_that_is_blind_or_unknown_gives_no_epoch() {
+    let mut unknown = Epochs::new(sources(), None);
+    handle(&mut unknown, EpochInput::Measured(Some(true)));
+    take(&mut unknown, 10, 1.0);
+    let mut blind = sighted();
+    let display = monitoring(MonitoringState::Blind, &["no samples"]);
+    handle(&mut blind, EpochInput::Monitoring(display));
+    take(&mut blind, 10, 1.0);
+    let mut silent = sighted();
+    handle(&mut silent, EpochInput::Now(Duration::from_secs(6)));
+    take(&mut silent, 10, 1.0);
+    let mut blind_here = sighted();
+    let mut display = monitoring(MonitoringState::Degraded, &[]);
+    display.parameters.push(ParameterMonitoring {
+        parameter: name("pier"),
+        state: MonitoringState::Blind,
+        why: Some("the present data contain no information".to_owned()),
+        sustained_std: None,
+    });
+    handle(&mut blind_here, EpochInput::Monitoring(display));
+    take(&mut blind_here, 10, 1.0);
+    for mut epochs in [unknown, blind, silent, blind_here] {
+        assert_eq!(refused(&epochs, "blind-estimates"), 1);
+        assert_eq!(take(&mut epochs, 5 * EPOCH, 1.0), []);
+    }
+}
+
+#[test]
+fn learning_the_reference_of_a_rule_is_not_blindness() {
+    let mut epochs = sighted();
+    let display = monitoring(MonitoringState::Blind, &[REFERENCE_IS_LEARNT]);
+    handle(&mut epochs, EpochInput::Monitoring(display));
+    take(&mut epochs, 10, 1.0);
+    assert!(first(&mut epochs).is_measured);
+}
+
+#[test]
+fn one_replayed_estimate_marks_its_epoch_and_an_unknown_origin_gives_none() {
+    let mut epochs = sighted();
+    take(&mut epochs, 10, 1.0);
+    handle(&mut epochs, EpochInput::Measured(Some(false)));
+    take(&mut epochs, 20, 1.0);
+    handle(&mut epochs, EpochInput::Measured(None));
+    take(&mut epochs, EPOCH, 1.0);
+    assert_eq!(refused(&epochs, "estimates-of-unknown-origin"), 1);
+    handle(&mut epochs, EpochInput::Measured(Some(true)));
+    let closed = take(&mut epochs, 5 * EPOCH, 1.0);
+    assert_eq!(closed.len(), 1);
+    assert!(!closed[0].is_measured);
+}
+
+#[test]
+fn a_condition_is_the_mean_of_the_epoch_or_holds_for_two_intervals() {
+    let mut epochs = sighted();
+    for (second, value) in [(-2000, 1.0), (100, 10.0), (700, 12.0), (800, 14.0)] {
+        handle(&mut epochs, EpochInput::Condition(deck(second, value)));
+    }
+    for second in [10, EPOCH, 2 * EPOCH, 3 * EPOCH] {
+        take(&mut epochs, second, 1.0);
+    }
+    let closed = take(&mut epochs, 9 * EPOCH, 1.0);
+    let told: Vec<_> = closed
+        .iter()
+        .map(|closed| closed.epoch.conditions[0])
+        .collect();
+    // The first two epochs are closed already. The value of second 800 holds until second 2000.
+    assert_eq!(told, [Some(14.0), None]);
+    let mut epochs = sighted();
+    handle(&mut epochs, EpochInput::Condition(deck(100, 10.0)));
+    handle(&mut epochs, EpochInput::Condition(deck(700, 12.0)));
+    take(&mut epochs, 10, 1.0);
+    assert_eq!(first(&mut epochs).epoch.conditions, [Some(11.0)]);
+}
+
+#[test]
+fn a_condition_in_another_unit_is_converted_or_refused() {
+    let mut epochs = sighted();
+    let mut kelvin = deck(100, 283.15);
+    kelvin.unit = "K".to_owned();
+    handle(&mut epochs, EpochInput::Condition(kelvin));
+    let mut wind = deck(200, 3.0);
+    wind.unit = "m/s".to_owned();
+    handle(&mut epochs, EpochInput::Condition(wind));
+    handle(&mut epochs, EpochInput::Condition(deck(300, 95.0)));
+    handle(&mut epochs, EpochInput::Condition(deck(100, 5.0)));
+    take(&mut epochs, 10, 1.0);
+    let value = first(&mut epochs).epoch.conditions[0].unwrap();
+    assert!((value - 10.0).abs() < 1e-12, "{value}");
+    for reason in [
+        "wrong-unit-conditions",
+        "out-of-range-conditions",
+        "repeated-conditions",
+    ] {
+        assert_eq!(refused(&epochs, reason), 1, "{reason}");
+    }
+}
+
+#[test]
+fn estimates_of_epochs_that_are_closed_are_refused_also_after_a_restart() {
+    let mut epochs = Epochs::new(sources(), Some(EPOCH / 2 * S));
+    handle(&mut epochs, EpochInput::Measured(Some(true)));
+    take(&mut epochs, EPOCH - 1, 1.0);
+    assert_eq!(refused(&epochs, "late-estimates"), 1);
+}
+
+#[test]
+fn conditions_without_estimates_take_no_memory() {
+    let mut epochs = sighted();
+    for number in 0..1000 {
+        handle(
+            &mut epochs,
+            EpochInput::Condition(deck(number * EPOCH, 10.0)),
+        );
+    }
+    assert!(epochs.conditions[0].by_epoch.len() <= CONDITIONS_KEPT);
+}

@@ -1,0 +1,92 @@
+use super::*;
+use crate::testing::{S, closed, name, plan};
+use spandrel_judge::Epoch;
+
+fn judging() -> Judging {
+    let names = vec![name("pier"), name("girder")];
+    Judging::new(name("bridge"), names, plan().settings).unwrap()
+}
+
+/// Returns an epoch of a day (three of them), with a share of the stiffness.
+fn of_day(day: i64, third: i64, stiffness: f64) -> ClosedEpoch {
+    let middle_ns = (day * 86_400 + third * 28_800 + 14_400) * S;
+    // Irregular and reproducible, without a trend.
+    let scatter = 0.004 * ((day * 3 + third) as f64 * 2.399).sin();
+    let deck = 10.0 + 8.0 * (day as f64 * 0.9).sin();
+    ClosedEpoch {
+        middle_ns,
+        epoch: Epoch {
+            time_s: ClosedEpoch::time_s(middle_ns),
+            quantities: vec![Some(stiffness * (1.0 - 0.001 * deck + scatter)), None],
+            conditions: vec![Some(deck)],
+        },
+        ..closed(0)
+    }
+}
+
+fn run(judging: &mut Judging, days: std::ops::Range<i64>, stiffness: f64) -> Vec<Event> {
+    let mut events = Vec::new();
+    for day in days {
+        for third in 0..3 {
+            judging
+                .handle(&of_day(day, third, stiffness), &mut events)
+                .unwrap();
+        }
+    }
+    events
+}
+
+#[test]
+fn the_first_state_is_learning_before_any_epoch() {
+    let displays = judging().displays(7);
+    assert_eq!(displays.len(), 2);
+    assert_eq!(displays[0].word(), "learning");
+    assert_eq!(
+        displays[0].sentence,
+        "pier is being learnt; 30 days of commissioning remain."
+    );
+    assert_eq!((displays[0].day_ns, displays[0].epoch_ns), (None, None));
+}
+
+#[test]
+fn a_loss_is_one_event_and_remains_the_word_of_the_state() {
+    let mut judging = judging();
+    assert_eq!(run(&mut judging, 0..60, 1.0), []);
+    assert_eq!(judging.displays(0)[0].word(), "judged");
+    assert_eq!(judging.displays(0)[1].word(), "no-statement");
+    let events = run(&mut judging, 60..90, 0.95);
+    assert_eq!(events.len(), 1, "{events:?}");
+    assert_eq!(events[0].kind, EventKind::LastingChange);
+    assert_eq!(events[0].what, "lasting-loss");
+    let display = &judging.displays(0)[0];
+    let change = display.change.unwrap();
+    assert_eq!(display.word(), "lasting-loss");
+    assert!(display.sentence.contains("pier has lost"));
+    assert!((0.03..0.07).contains(&change.loss), "{change:?}");
+    let since = change.since_ns / start_ns(1);
+    assert!((58..63).contains(&since), "{since}");
+    assert_eq!(change.interval.level, 0.95);
+}
+
+#[test]
+fn one_epoch_that_is_not_measured_marks_all_judgements() {
+    let mut judging = judging();
+    run(&mut judging, 0..2, 1.0);
+    assert!(judging.displays(0)[0].measured);
+    let replayed = ClosedEpoch {
+        is_measured: false,
+        ..of_day(2, 0, 1.0)
+    };
+    judging.handle(&replayed, &mut Vec::new()).unwrap();
+    run(&mut judging, 3..5, 1.0);
+    assert!(!judging.displays(0)[0].measured);
+}
+
+#[test]
+fn an_epoch_out_of_order_is_refused_and_changes_nothing() {
+    let mut judging = judging();
+    run(&mut judging, 5..7, 1.0);
+    let before = judging.displays(0);
+    assert!(judging.handle(&of_day(3, 0, 1.0), &mut Vec::new()).is_err());
+    assert_eq!(judging.displays(0), before);
+}

@@ -1,0 +1,398 @@
+//! Connects the judgement of one structure to the bus.
+
+use crate::epoch_log::EpochLog;
+use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, Sources};
+use crate::error::JudgingError;
+use crate::judging::Judging;
+use spandrel_bus::{
+    BoxedFuture, DisplayPublisher, Event, JudgementDisplay, Keys, LiveToken, LiveWatch, Name, Pace,
+    Service, parse_key, reported_pace,
+};
+use spandrel_judge::QuantityKind;
+use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
+use spandrel_service::{
+    Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+};
+use spandrel_structure::{JudgePlan, Structure};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+use tracing::{info, warn};
+
+/// What the epochs are formed of. Conditions precede the estimates, because an estimate closes
+/// epochs.
+const NEEDS: Needs = Needs {
+    topics: &[
+        DisplayTopic::Statuses,
+        DisplayTopic::Monitoring,
+        DisplayTopic::Conditions,
+        DisplayTopic::Parameters,
+    ],
+    services: &[Service::Alert, Service::Feed, Service::Sensor],
+    logs: &[],
+};
+/// Interval at which messages are taken from the subscriptions.
+const GATHER_EVERY: Duration = Duration::from_millis(50);
+/// Interval at which each state is published again, for those who have subscribed meanwhile.
+const REPEAT_EVERY: Duration = Duration::from_secs(5);
+
+/// What the service of one structure needs to start.
+#[derive(Clone, Debug)]
+pub struct JudgePlanned {
+    /// The instance.
+    pub instance: ServiceInstance,
+    /// The structure, with a table `[judge]`.
+    pub monitored: Monitored,
+}
+
+/// The service that judges one structure.
+#[derive(Debug)]
+pub struct JudgeService {
+    keys: Keys,
+    clock: Clock,
+    started: Instant,
+    listener: Listener,
+    state: StructureState,
+    simulated: LiveWatch,
+    /// Whether the samples are measured. It remains while no node is present.
+    is_measured: Option<bool>,
+    epochs: Epochs,
+    /// `None` only while another thread judges.
+    bench: Option<Bench>,
+    topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
+    events: EventPublisher,
+    status: StatusPublisher,
+    token: LiveToken,
+    /// Number of epochs that the judge has refused.
+    refused: u64,
+}
+
+/// What judges epochs on a thread of its own, because a reference takes longer than an async thread
+/// may be blocked.
+#[derive(Debug)]
+struct Bench {
+    judging: Judging,
+    log: Option<EpochLog>,
+}
+
+/// What a number of epochs has changed.
+#[derive(Debug, Default)]
+struct Outcome {
+    events: Vec<Event>,
+    is_day_over: bool,
+    refused: u64,
+}
+
+impl spandrel_service::Service for JudgeService {
+    type Plan = JudgePlanned;
+    type Error = JudgingError;
+
+    /// Judges the saved epochs again, and joins the bus.
+    ///
+    /// # Errors
+    /// Fails if the structure has no table `[judge]`, the file of the epochs cannot be used, or the
+    /// bus rejects a declaration.
+    fn start(plan: &JudgePlanned) -> BoxedFuture<'_, Result<Self, JudgingError>> {
+        Self::start_from(plan)
+    }
+
+    /// Runs until `stop`. An epoch that is not over is lost.
+    ///
+    /// # Errors
+    /// Fails if the bus is closed.
+    fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), JudgingError>> {
+        self.run_until(stop)
+    }
+}
+
+impl JudgeService {
+    fn start_from(plan: &JudgePlanned) -> BoxedFuture<'_, Result<Self, JudgingError>> {
+        Box::pin(async move {
+            let JudgePlanned {
+                instance,
+                monitored,
+            } = plan;
+            let Monitored {
+                structure,
+                keys,
+                remembering,
+            } = monitored;
+            let plan = structure.judge().ok_or_else(|| JudgingError::NotJudged {
+                structure: structure.name().to_owned(),
+            })?;
+            let quantities = plan.settings.quantities.iter();
+            let names: Vec<Name> = quantities
+                .map(|quantity| name(&quantity.name))
+                .collect::<Result<_, _>>()?;
+            let sources = sources(structure, plan)?;
+            warn_without_source(structure, plan, &sources);
+            let folder = remembering.as_ref().map(|remembering| &remembering.folder);
+            let bench = tokio::task::block_in_place(|| {
+                let judging = Judging::new(
+                    keys.structure().clone(),
+                    names.clone(),
+                    plan.settings.clone(),
+                )?;
+                Bench::open(judging, folder.map(|folder| (folder.as_path(), plan)))
+            })?;
+            let ServiceInstance { bus, clock, .. } = instance;
+            let mut topics = BTreeMap::new();
+            for name in names {
+                let topic = bus.publish_display(keys.judgement(&name)).await?;
+                topics.insert(name, topic);
+            }
+            info!(
+                structure = keys.structure().as_str(),
+                quantities = topics.len(),
+                epochs = bench.judging.epochs(),
+                "judgement ready"
+            );
+            #[expect(
+                clippy::disallowed_methods,
+                reason = "whether the alert service is silent goes by the clock of the machine"
+            )]
+            let started = Instant::now();
+            Ok(Self {
+                clock: *clock,
+                started,
+                epochs: Epochs::new(sources, bench.judging.epoch_ns()),
+                bench: Some(bench),
+                topics,
+                events: EventPublisher::declare(bus, keys).await?,
+                state: StructureState::default(),
+                simulated: bus.watch_live(keys.all_simulated()).await?,
+                is_measured: None,
+                listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS).await?,
+                status: instance.publish_status(Service::Judge, keys).await?,
+                token: instance.announce(Service::Judge, keys).await?,
+                keys: keys.clone(),
+                refused: 0,
+            })
+        })
+    }
+
+    fn run_until(
+        mut self,
+        mut stop: BoxedFuture<'_, ()>,
+    ) -> BoxedFuture<'_, Result<(), JudgingError>> {
+        Box::pin(async move {
+            let mut gather = tokio::time::interval(GATHER_EVERY);
+            let mut repeat = tokio::time::interval(REPEAT_EVERY);
+            let mut status = tokio::time::interval(STATUS_EVERY);
+            loop {
+                tokio::select! {
+                    biased;
+                    () = &mut stop => break,
+                    _ = status.tick() => {
+                        self.judge(Vec::new()).await?; // tries again to save what waits
+                        self.put_status().await?;
+                    }
+                    _ = repeat.tick() => self.put_states().await?,
+                    _ = gather.tick() => self.gather().await?,
+                }
+            }
+            self.gather().await?;
+            self.token.withdraw().await?;
+            Ok(())
+        })
+    }
+
+    /// Processes what has arrived since the last call.
+    async fn gather(&mut self) -> Result<(), JudgingError> {
+        let mut closed = Vec::new();
+        let mut inputs = vec![EpochInput::Now(self.started.elapsed())];
+        for input in self.listener.gather() {
+            match input {
+                Input::Monitoring(display) => inputs.push(EpochInput::Monitoring(display)),
+                Input::Condition(display) | Input::StandingCondition(display, _) => {
+                    inputs.push(EpochInput::Condition(display));
+                }
+                Input::Parameter(display) => inputs.push(EpochInput::Parameter(display)),
+                other => self.state.handle(other, &mut Vec::new()),
+            }
+        }
+        self.look_at_the_origin();
+        self.epochs
+            .handle(EpochInput::Measured(self.is_measured), &mut closed);
+        for input in inputs {
+            self.epochs.handle(input, &mut closed);
+        }
+        match closed.is_empty() {
+            true => Ok(()),
+            false => self.judge(closed).await,
+        }
+    }
+
+    /// Determines whether the samples are measured.
+    ///
+    /// A structure with simulated and measured nodes counts as measured, so that nobody can mute a
+    /// real structure by simulating one of its nodes.
+    fn look_at_the_origin(&mut self) {
+        let root = self.keys.root();
+        let node = |key: &String| parse_key(root, key).and_then(|(_, topic)| topic.of);
+        let simulated: BTreeSet<Name> = self.simulated.present().iter().filter_map(node).collect();
+        let nodes = self.state.present();
+        let nodes = nodes.filter(|(service, _)| *service == Service::Sensor);
+        let present: BTreeSet<&Name> = nodes.map(|(_, node)| node).collect();
+        if present.is_empty() && self.is_measured.is_some() {
+            return;
+        }
+        let is_simulated =
+            !present.is_empty() && present.iter().all(|node| simulated.contains(*node));
+        let pace = reported_pace(self.state.statuses().map(|(_, status)| status));
+        self.is_measured = pace.map(|pace| pace == Pace::Live && !is_simulated);
+    }
+
+    /// Saves and judges epochs, and publishes what has changed.
+    async fn judge(&mut self, closed: Vec<ClosedEpoch>) -> Result<(), JudgingError> {
+        let Some(mut bench) = self.bench.take() else {
+            return Ok(()); // an earlier call has ended the service
+        };
+        let judged = tokio::task::spawn_blocking(move || {
+            let outcome = bench.judge(&closed);
+            (bench, outcome)
+        });
+        let (bench, outcome) = match judged.await {
+            Ok(judged) => judged,
+            // The supervisor restarts the service, which then reads its epochs again.
+            Err(error) => match error.try_into_panic() {
+                Ok(panic) => std::panic::resume_unwind(panic),
+                Err(_) => return Ok(()), // the runtime is shutting down
+            },
+        };
+        self.bench = Some(bench);
+        self.refused += outcome.refused;
+        for event in &outcome.events {
+            self.events.put(event).await?;
+        }
+        match outcome.is_day_over {
+            true => self.put_states().await,
+            false => Ok(()),
+        }
+    }
+
+    async fn put_states(&self) -> Result<(), JudgingError> {
+        let Some(bench) = &self.bench else {
+            return Ok(());
+        };
+        for display in bench.judging.displays(self.clock.now_ns()) {
+            if let Some(topic) = self.topics.get(&display.quantity) {
+                topic.put(&display).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn put_status(&self) -> Result<(), JudgingError> {
+        let Some(bench) = &self.bench else {
+            return Ok(());
+        };
+        let refused = self.epochs.refused().iter();
+        let refused = refused.map(|(reason, count)| ((*reason).to_owned(), *count));
+        let mut drops = self.listener.refused();
+        drops.extend(refused);
+        drops.extend(bench.log.iter().flat_map(EpochLog::drops));
+        if self.refused > 0 {
+            drops.insert("refused-epochs".to_owned(), self.refused);
+        }
+        let report = Report {
+            done: bench.judging.epochs(),
+            processed_ns: self.epochs.newest_ns(),
+            drops,
+            ..Report::default()
+        };
+        Ok(self.status.put(report).await?)
+    }
+}
+
+impl Bench {
+    /// Judges the epochs of the file in a folder, if there is a folder.
+    fn open(
+        mut judging: Judging,
+        saved: Option<(&std::path::Path, &JudgePlan)>,
+    ) -> Result<Self, JudgingError> {
+        let Some((folder, plan)) = saved else {
+            return Ok(Self { judging, log: None });
+        };
+        let mut refused = 0_u64;
+        let log = EpochLog::open(folder, plan, |closed| {
+            // The events were published when the epoch was new.
+            refused += u64::from(judging.handle(&closed, &mut Vec::new()).is_err());
+        })?;
+        if refused > 0 {
+            warn!(epochs = refused, "the judge refused epochs that were saved");
+        }
+        Ok(Self {
+            judging,
+            log: Some(log),
+        })
+    }
+
+    /// Saves each epoch before it is judged, so that a restart judges it as well.
+    fn judge(&mut self, closed: &[ClosedEpoch]) -> Outcome {
+        let mut outcome = Outcome::default();
+        if closed.is_empty() {
+            self.log.iter_mut().for_each(EpochLog::flush);
+        }
+        for closed in closed {
+            if let Some(log) = &mut self.log {
+                log.append(closed);
+            }
+            match self.judging.handle(closed, &mut outcome.events) {
+                Ok(is_day_over) => outcome.is_day_over |= is_day_over,
+                Err(error) => {
+                    outcome.refused += 1;
+                    warn!(%error, "the judge refused an epoch");
+                }
+            }
+        }
+        outcome
+    }
+}
+
+fn name(text: &str) -> Result<Name, JudgingError> {
+    Name::new(text).map_err(|source| JudgingError::Name {
+        found: text.to_owned(),
+        source,
+    })
+}
+
+fn sources(structure: &Structure, plan: &JudgePlan) -> Result<Sources, JudgingError> {
+    let quantities = plan.settings.quantities.iter();
+    let parameters = quantities.map(|quantity| {
+        let mut parameters = structure.parameters().iter();
+        let is_parameter = quantity.kind == QuantityKind::Stiffness
+            && parameters.any(|parameter| parameter.name() == quantity.name);
+        is_parameter.then(|| name(&quantity.name)).transpose()
+    });
+    let conditions = plan.settings.conditions.iter().map(|condition| {
+        let mut declared = structure.conditions().iter();
+        Ok(ConditionSource {
+            name: name(&condition.name)?,
+            kind: condition.kind,
+            declared: declared
+                .find(|declared| declared.name() == condition.name)
+                .cloned(),
+        })
+    });
+    Ok(Sources {
+        length_ns: i64::from(plan.epoch_s).saturating_mul(1_000_000_000),
+        parameters: parameters.collect::<Result<_, JudgingError>>()?,
+        conditions: conditions.collect::<Result<_, JudgingError>>()?,
+    })
+}
+
+/// Warns of quantities that no live value will ever reach.
+fn warn_without_source(structure: &Structure, plan: &JudgePlan, sources: &Sources) {
+    let quantities = plan.settings.quantities.iter().zip(&sources.parameters);
+    let without: Vec<&str> = quantities
+        .filter(|(_, parameter)| parameter.is_none())
+        .map(|(quantity, _)| quantity.name.as_str())
+        .collect();
+    if !without.is_empty() {
+        warn!(
+            structure = structure.name(),
+            quantities = without.join(", "),
+            "no live values: only a stiffness with the name of a parameter has them"
+        );
+    }
+}

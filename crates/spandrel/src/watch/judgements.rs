@@ -1,0 +1,51 @@
+//! The judgements of lasting change.
+
+use super::wording::printable;
+use ratatui::style::{Color, Style};
+use ratatui::text::Span;
+use spandrel_bus::JudgementDisplay;
+use spandrel_listener::StructureState;
+
+/// Returns a text for each judged quantity, such as `lasting change of pier-2: judged`.
+pub fn judgement_texts(structure: &StructureState) -> impl Iterator<Item = String> {
+    let words = |display: &JudgementDisplay| {
+        format!("lasting change of {}: {}", display.quantity, display.word())
+    };
+    structure.judgements.values().map(words)
+}
+
+/// Returns word and sentence of each quantity for the panel. A lasting loss is red, and a lasting gain
+/// yellow.
+pub fn judgement_spans(structure: &StructureState) -> Vec<Span<'static>> {
+    let span = |display: &JudgementDisplay| {
+        let style = match &display.change {
+            Some(change) if change.kind.is_alarm() => Style::new().fg(Color::Red),
+            Some(_) => Style::new().fg(Color::Yellow),
+            None => Style::new(),
+        };
+        let text = format!("{}: {}", display.word(), printable(&display.sentence));
+        Span::styled(text, style)
+    };
+    structure.judgements.values().map(span).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{heard, lasting_loss, name};
+    use super::*;
+    use spandrel_listener::Input;
+
+    #[test]
+    fn a_lasting_loss_is_red_and_has_its_sentence() {
+        let heard = heard([Input::Judgement(lasting_loss("storey-2"))]);
+        let structure = heard.structure(&name("tower")).unwrap();
+        let texts: Vec<String> = judgement_texts(structure).collect();
+        assert_eq!(texts, ["lasting change of storey-2: lasting-loss"]);
+        let spans = judgement_spans(structure);
+        assert_eq!(
+            spans[0].content,
+            "lasting-loss: storey-2 has lost 5.0 % of stiffness [4.0, 6.0]."
+        );
+        assert_eq!(spans[0].style.fg, Some(Color::Red));
+    }
+}

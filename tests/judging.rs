@@ -1,0 +1,478 @@
+//! The service `judge`, fed with the estimates and temperatures of years in seconds.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use serde_json::Value;
+use spandrel_bus::{
+    Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementDisplay, JudgementState,
+    LiveToken, MonitoringDisplay, MonitoringState, Name, Pace, ParameterDisplay, Service, Status,
+    Subscription,
+};
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener};
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, channel};
+use support::{DEADLINE, HOUSE, Process, SeasonRow, Site, StiffnessLoss, seasons, within};
+
+const SECOND_NS: i64 = 1_000_000_000;
+/// Length of an epoch: that of the rows of the simulated seasons (s).
+const EPOCH_S: i64 = 21_600;
+/// First day of the series: 1 July 2024 (days since 1970-01-01 UTC).
+const FIRST_DAY: i64 = 19_905;
+/// Frequency of the first mode of the simulated seasons at 0 °C (Hz).
+const FREQUENCY: f64 = 2.31;
+/// Number of days that are published before the service must have judged them.
+const DAYS_AT_ONCE: u32 = 10;
+
+/// Returns a house whose storey is judged. The quantity `girder` has no live values.
+fn house(settings: &str) -> Site {
+    Site::with(&format!(
+        "{HOUSE}\n[judge]\nepoch-s = {EPOCH_S}\n{settings}\n\
+         [[judge.quantity]]\nname = \"storey-1\"\nis = \"stiffness\"\n\
+         [[judge.quantity]]\nname = \"girder\"\nis = \"frequency\"\ncolumn = \"girder_hz\"\n\
+         [[judge.condition]]\nname = \"deck\"\nunit = \"degC\"\n"
+    ))
+}
+
+/// The other services, whose messages the test publishes.
+struct Others {
+    site: Site,
+    bus: Bus,
+    estimates: DisplayPublisher<ParameterDisplay>,
+    conditions: DisplayPublisher<ConditionDisplay>,
+    monitoring: DisplayPublisher<MonitoringDisplay>,
+    status: DisplayPublisher<Status>,
+    judgements: Subscription<JudgementDisplay>,
+    events: Subscription<Event>,
+    of_judge: Subscription<Status>,
+    tokens: Vec<LiveToken>,
+    /// Last judgement of each quantity and day.
+    judged: BTreeMap<(i64, String), JudgementDisplay>,
+}
+
+impl Others {
+    async fn start(site: Site) -> Self {
+        let (bus, keys) = (site.host().await, site.keys());
+        let (storey, deck) = (name("storey-1"), name("deck"));
+        let node = bus.announce(keys.live(Service::Sensor, &name("shake")));
+        Self {
+            estimates: bus.publish_display(keys.parameter(&storey)).await.unwrap(),
+            conditions: bus.publish_display(keys.condition(&deck)).await.unwrap(),
+            monitoring: bus.publish_display(keys.monitoring()).await.unwrap(),
+            status: {
+                let key = keys.status(Service::Ingest, &name("ingest"));
+                bus.publish_display(key).await.unwrap()
+            },
+            judgements: bus.subscribe(keys.all_judgements(), 65_536).await.unwrap(),
+            events: bus.subscribe(keys.event(), 1024).await.unwrap(),
+            of_judge: bus
+                .subscribe(keys.statuses(Service::Judge), 4)
+                .await
+                .unwrap(),
+            tokens: vec![node.await.unwrap()],
+            judged: BTreeMap::new(),
+            site,
+            bus,
+        }
+    }
+
+    /// Marks the only node as simulated.
+    async fn simulate(&mut self) {
+        let key = self.site.keys().simulated(&name("shake"));
+        self.tokens.push(self.bus.announce(key).await.unwrap());
+    }
+
+    fn state_folder(&self) -> PathBuf {
+        self.site.folder().join("state")
+    }
+
+    /// Starts the service, and waits until it knows the monitoring and the pace of the samples.
+    async fn judge(&self) -> Process {
+        let mut command = self.site.connecting("judge");
+        let judge = Process::start(command.env("XDG_STATE_HOME", self.state_folder()));
+        judge.wait_for_log("ready structures=1");
+        while self.of_judge.messages().try_recv().is_ok() {} // of an earlier run
+        // A second status follows at least one look at what has arrived before the first.
+        for _ in 0..3 {
+            self.report().await;
+            let status = self.of_judge.messages().recv_async();
+            within("a status of judge", status).await.unwrap();
+        }
+        judge
+    }
+
+    /// Publishes what the services ingest and alert report each second.
+    async fn report(&self) {
+        self.monitoring.put(&watching()).await.unwrap();
+        self.status.put(&live()).await.unwrap();
+    }
+
+    /// Publishes the rows of some days. Returns once they are judged, except for the last one.
+    async fn publish(&mut self, rows: &[SeasonRow], days: Range<u32>, deck: impl Fn(f64) -> f64) {
+        for from in days.clone().step_by(DAYS_AT_ONCE as usize) {
+            let until = (from + DAYS_AT_ONCE).min(days.end);
+            self.report().await;
+            for row in rows {
+                if (f64::from(from)..f64::from(until)).contains(&row.day) {
+                    self.put(row, deck(row.deck)).await;
+                }
+            }
+            // An epoch is closed in the second next one, and a day with the first epoch of the next.
+            self.wait_for(FIRST_DAY + i64::from(until) - 2).await;
+        }
+    }
+
+    async fn put(&self, row: &SeasonRow, deck: f64) {
+        let time_ns = ((FIRST_DAY as f64 + row.day) * 86_400.0) as i64 * SECOND_NS;
+        let condition = ConditionDisplay {
+            structure: name("house"),
+            name: name("deck"),
+            time_ns,
+            value: deck,
+            unit: "degC".to_owned(),
+            interval_s: Some(EPOCH_S as f64),
+            instrument: None,
+        };
+        self.conditions.put(&condition).await.unwrap();
+        if let Some(frequency) = row.frequencies[0] {
+            let ratio = (frequency / FREQUENCY).powi(2);
+            let (structure, storey) = (name("house"), name("storey-1"));
+            let estimate = ParameterDisplay::of_normal(&structure, &storey, time_ns, ratio, 1e-6);
+            self.estimates.put(&estimate).await.unwrap();
+        }
+    }
+
+    /// Collects the judgements up to a day.
+    async fn wait_for(&mut self, day: i64) {
+        let what = format!("the judgement of day {day}");
+        let (judgements, judged) = (self.judgements.messages().clone(), &mut self.judged);
+        within(&what, async {
+            loop {
+                let (_, display) = judgements.recv_async().await.unwrap();
+                let Some(day_ns) = display.day_ns else {
+                    continue;
+                };
+                let found = day_ns / (86_400 * SECOND_NS);
+                judged.insert((found, display.quantity.to_string()), display.clone());
+                if found >= day && display.quantity.as_str() == "storey-1" {
+                    return;
+                }
+            }
+        })
+        .await;
+    }
+
+    /// Returns the words of a quantity in the order of their first appearance. If several days end at
+    /// once, only the last one is published.
+    fn words(&self, quantity: &str) -> Vec<&'static str> {
+        let of_it = self.judged.iter().filter(|((_, name), _)| name == quantity);
+        let mut words = Vec::new();
+        for (_, display) in of_it {
+            if !words.contains(&display.word()) {
+                words.push(display.word());
+            }
+        }
+        words
+    }
+
+    fn last(&self) -> &JudgementDisplay {
+        let mut of_it = self.judged.iter().rev();
+        of_it.find(|((_, name), _)| name == "storey-1").unwrap().1
+    }
+
+    /// Returns the judgements of the saved epochs by `spandrel judge --series`.
+    fn offline(&self) -> BTreeMap<(i64, String), Value> {
+        let root = self.site.keys().root().to_string();
+        let series = find(&self.state_folder(), "judge-epochs.csv");
+        assert!(series.to_string_lossy().contains(&root), "{series:?}");
+        let mut command = support::spandrel("judge");
+        command.arg(self.site.structure_file()).arg("--series");
+        let said = Process::start(command.arg(series).arg("--json")).wait();
+        let said = said.expect_code(0);
+        let lines = said.stdout.lines().map(|line| {
+            let line: Value = serde_json::from_str(line).unwrap();
+            let quantity = line["quantity"].as_str().unwrap().to_owned();
+            let date: jiff::civil::Date = line["date"].as_str().unwrap().parse().unwrap();
+            let since = date - jiff::civil::date(1970, 1, 1);
+            ((i64::from(since.get_days()), quantity), line)
+        });
+        lines.collect()
+    }
+}
+
+fn find(folder: &std::path::Path, file: &str) -> PathBuf {
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.file_name().is_some_and(|name| name == file) {
+                return path;
+            }
+        }
+    }
+    panic!("no {file} below {}", folder.display());
+}
+
+fn name(text: &str) -> Name {
+    Name::new(text).unwrap()
+}
+
+fn watching() -> MonitoringDisplay {
+    MonitoringDisplay {
+        structure: name("house"),
+        time_ns: 0,
+        measured_ns: None,
+        state: MonitoringState::Watching,
+        since_ns: 0,
+        reasons: Vec::new(),
+        parameters: Vec::new(),
+        channels: Vec::new(),
+    }
+}
+
+fn live() -> Status {
+    let text = "{\"structure\":\"house\",\"service\":\"ingest\",\"id\":\"ingest\",\"time_ns\":1,\
+                \"lag_s\":0.0,\"done\":0,\"drops\":{},\"restarts\":0,\"version\":\"0\"}";
+    Status {
+        pace: Some(Pace::Live),
+        ..serde_json::from_str(text).unwrap()
+    }
+}
+
+/// Serves a webhook, and returns the bodies of the requests.
+fn webhook() -> (SocketAddr, Receiver<Value>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let (sender, bodies) = channel();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            let mut reader = BufReader::new(stream.try_clone().unwrap());
+            let (mut line, mut length) = (String::new(), 0);
+            while reader.read_line(&mut line).unwrap_or(0) > 2 {
+                if let Some(value) = line.to_lowercase().strip_prefix("content-length:") {
+                    length = value.trim().parse().unwrap();
+                }
+                line.clear();
+            }
+            let mut body = vec![0; length];
+            reader.read_exact(&mut body).unwrap();
+            let answer = "HTTP/1.1 200 OK\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+            stream.write_all(answer.as_bytes()).unwrap();
+            // The test may have ended.
+            let _ = sender.send(serde_json::from_slice(&body).unwrap());
+        }
+    });
+    (address, bodies)
+}
+
+/// Starts notices to a webhook.
+async fn notify(others: &Others, address: SocketAddr) -> Process {
+    let configuration = others.site.folder().join("spandrel.toml");
+    let text = format!(
+        "[notify]\n[[notify.webhook]]\nurl = \"http://{address}/\"\nstates = [\"lasting-loss\"]\n"
+    );
+    std::fs::write(&configuration, text).unwrap();
+    let mut command = others.site.connecting("notify");
+    let notify = Process::start(command.arg("--config").arg(&configuration));
+    notify.wait_for_log("ready structures=1");
+    notify
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit() {
+    let loss = StiffnessLoss {
+        share: 0.05,
+        day: 480,
+    };
+    let rows = seasons(1, 510, Some(loss));
+    let mut others = Others::start(house("commissioning-days = 365")).await;
+    let (address, bodies) = webhook();
+    let notify = notify(&others, address).await;
+    let judge = others.judge().await;
+    others.publish(&rows, 0..430, |deck| deck).await;
+    let before = ["learning", "not-ready", "judged"];
+    assert_eq!(others.words("storey-1"), before);
+    judge.kill();
+    // The epochs that were open are lost.
+    let judge = others.judge().await;
+    others.publish(&rows, 430..510, |deck| deck).await;
+
+    let all = [&before[..], &["lasting-loss"]].concat();
+    assert_eq!(others.words("storey-1"), all);
+    assert!(others.words("girder").contains(&"no-statement"));
+    let last = others.last().clone();
+    let change = last.change.unwrap();
+    assert!(last.measured);
+    assert!(
+        last.sentence.starts_with("storey-1 has lost ")
+            && last.sentence.contains(" % of stiffness ["),
+        "{}",
+        last.sentence
+    );
+    assert!(
+        change.interval.low < 0.05 && 0.05 < change.interval.high,
+        "{change:?}"
+    );
+    let found_day = change.found_ns / (86_400 * SECOND_NS) - FIRST_DAY;
+    assert!((480..510).contains(&found_day), "found on day {found_day}");
+
+    let offline = others.offline();
+    assert!(others.judged.len() > 100, "{}", others.judged.len());
+    for (key, display) in &others.judged {
+        let line = &offline[key];
+        assert_eq!(line["state"], display.state.as_str(), "{key:?}");
+        assert_eq!(line["sentence"], display.sentence.as_str(), "{key:?}");
+        let found = display.change.map(|change| {
+            let ends = [change.interval.low, change.interval.high].map(f64::to_bits);
+            (
+                change.kind.as_str(),
+                change.loss.to_bits(),
+                ends[0],
+                ends[1],
+            )
+        });
+        let expected = line["finding"].as_object().map(|finding| {
+            let ends = finding["interval"].as_array().unwrap();
+            (
+                finding["kind"].as_str().unwrap(),
+                bits(&finding["loss"]),
+                bits(&ends[0]),
+                bits(&ends[1]),
+            )
+        });
+        assert_eq!(found, expected, "{key:?}");
+        let found = display.expectation.map(|expectation| {
+            [
+                expectation.measured,
+                expectation.expected,
+                expectation.interval.low,
+                expectation.interval.high,
+                expectation.residual,
+                expectation.ln_evidence,
+                expectation.ln_threshold,
+                expectation.cusum_share,
+            ]
+            .map(f64::to_bits)
+        });
+        let expected = line["expectation"].as_object().map(|expectation| {
+            [
+                &expectation["measured"],
+                &expectation["expected"],
+                &expectation["interval"][0],
+                &expectation["interval"][1],
+                &expectation["residual"],
+                &expectation["ln_evidence"],
+                &expectation["ln_threshold"],
+                &expectation["cusum_share"],
+            ]
+            .map(bits)
+        });
+        assert_eq!(found, expected, "{key:?}");
+    }
+
+    // One event, and one notice although the state is published again and again.
+    let events: Vec<Event> = others
+        .events
+        .messages()
+        .drain()
+        .map(|(_, event)| event)
+        .collect();
+    let changes: Vec<&Event> = events
+        .iter()
+        .filter(|event| event.kind == EventKind::LastingChange)
+        .collect();
+    let told: Vec<&str> = changes.iter().map(|event| event.what.as_str()).collect();
+    assert_eq!(told, ["lasting-loss"], "{events:?}");
+    let body = tokio::task::block_in_place(|| bodies.recv_timeout(DEADLINE).unwrap());
+    assert_eq!(
+        (&body["kind"], &body["quantity"], &body["origin"]),
+        (&"judgement".into(), &"storey-1".into(), &"measured".into())
+    );
+    others.wait_for(FIRST_DAY + 508).await; // at least one repetition
+    notify.stop().expect_code(0);
+    assert!(bodies.try_recv().is_err());
+    judge.stop().expect_code(0);
+}
+
+fn bits(value: &Value) -> u64 {
+    value.as_f64().unwrap().to_bits()
+}
+
+/// Settings of a short commissioning.
+const SHORT: &str = "commissioning-days = 30\naccept-short-commissioning = true";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_loss_of_simulated_samples_is_judged_and_pages_nobody() {
+    let loss = StiffnessLoss {
+        share: 0.15,
+        day: 45,
+    };
+    let rows = seasons(1, 70, Some(loss));
+    let mut others = Others::start(house(SHORT)).await;
+    others.simulate().await;
+    let (address, bodies) = webhook();
+    let notify = notify(&others, address).await;
+    let judge = others.judge().await;
+    let of_notify: Subscription<Status> = {
+        let key = others.site.keys().statuses(Service::Notify);
+        others.bus.subscribe(key, 64).await.unwrap()
+    };
+    others.publish(&rows, 0..70, |deck| deck).await;
+    let last = others.last();
+    assert_eq!(last.word(), "lasting-loss", "{last:?}");
+    assert!(!last.measured);
+    within("a notice that is not sent", async {
+        loop {
+            let (_, status) = of_notify.messages().recv_async().await.unwrap();
+            if status.drops.get("simulated-notices") == Some(&1) {
+                return;
+            }
+        }
+    })
+    .await;
+    notify.stop().expect_code(0);
+    assert!(bodies.try_recv().is_err());
+    judge.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frozen_thermometer_gives_no_statement() {
+    let rows = seasons(1, 45, None);
+    let mut others = Others::start(house(SHORT)).await;
+    let judge = others.judge().await;
+    others.publish(&rows, 0..40, |deck| deck).await;
+    assert_eq!(others.last().state, JudgementState::Judged);
+    others.publish(&rows, 40..45, |_| 15.0).await;
+    let last = others.last();
+    assert_eq!(last.state, JudgementState::NoStatement, "{last:?}");
+    assert_eq!(
+        last.sentence,
+        "storey-1 is not judged, because deck has not changed for a day or longer."
+    );
+    judge.stop().expect_code(0);
+}
+
+#[test]
+fn judge_without_series_needs_a_judged_structure() {
+    let site = Site::with(HOUSE);
+    Process::start(&mut site.listening("judge"))
+        .wait()
+        .expect_code(2)
+        .expect_told(&["no structure has a table [judge]"]);
+    let mut command = site.listening("judge");
+    Process::start(command.arg("--report"))
+        .wait()
+        .expect_code(2)
+        .expect_told(&["--report and --json need --series"]);
+}
