@@ -1,13 +1,15 @@
 //! The threshold that holds the budget, and what it detects.
 //!
-//! The e-detector alone guarantees the budget if the whitened residuals are independent. The
+//! The e-detector alone guarantees the budget if the residuals are independent. The
 //! calibration checks this with the residuals of the commissioning: it draws blocks of seven days,
 //! with replacement, and joins them to years. Source: Künsch (1989), Annals of Statistics 17,
 //! 1217–1241, for the block bootstrap.
 
 use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
-use crate::detector::{SHORTEST_STEP_DAYS, SIZES};
-use crate::whitening::Step;
+use crate::detector::{HELD_DAYS, SHORTEST_STEP_DAYS, SIZES};
+use crate::model::{Columns, Structure};
+use crate::regression::Posterior;
+use nalgebra::DVector;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
@@ -50,13 +52,53 @@ pub struct Delay {
     pub found_in_a_month: f64,
 }
 
-/// A detector whose whitening does not change.
+/// What remains of a unit step in the residuals of the days after it, under the mean conditions.
+pub(crate) struct Steps {
+    /// h/scale (1/ln(value)) of each day.
+    remainders: Vec<f64>,
+    /// Mean of h/scale over the first days, which the simulated detector uses for all of them.
+    mean: f64,
+}
+
+/// Days of a step from which the simulated detector takes the mean of h.
+const FIRST_DAYS: usize = 10;
+
+impl Steps {
+    pub(crate) fn new(
+        columns: &Columns,
+        structure: &Structure,
+        posterior: &Posterior,
+        conditions: &DVector<f64>,
+    ) -> Self {
+        let (mut known, mut x) = (posterior.clone(), conditions.clone());
+        let mut response = DVector::zeros(columns.count());
+        x[columns.count() - 1] = 1.0; // the deviation
+        let remainders: Vec<f64> = (ONSET..DAYS)
+            .map(|_| {
+                known.evolve(columns, structure, 1);
+                for forgetful in columns.forgetful(structure) {
+                    response[forgetful.column] *= forgetful.kept(1);
+                }
+                let h = 1.0 - x.dot(&response);
+                let scale = known.sigma * (1.0 + known.leverage(&x)).sqrt();
+                let gain = known.learn(&x, 0.0, 1.0);
+                response.axpy(h, &gain, 1.0);
+                h / scale
+            })
+            .collect();
+        let first = remainders.iter().take(FIRST_DAYS);
+        Self {
+            mean: first.sum::<f64>() / FIRST_DAYS as f64,
+            remainders,
+        }
+    }
+}
+
+/// A detector whose regression does not change.
 pub(crate) struct Calibration<'r> {
     pub(crate) residuals: &'r [f64],
     pub(crate) cumulant: &'r Cumulant,
-    pub(crate) phi: f64,
-    /// σ, in ln(value).
-    pub(crate) sigma: f64,
+    pub(crate) steps: &'r Steps,
     /// Change of ln(value) of the loss that matters, positive.
     pub(crate) unit: f64,
     /// Seed of the blocks.
@@ -119,9 +161,7 @@ fn allowed_alarms(expected: f64) -> usize {
 struct Years<'c> {
     calibration: &'c Calibration<'c>,
     random: ChaCha8Rng,
-    onset: Sizes,
-    later: Sizes,
-    step: Step,
+    sizes: Sizes,
 }
 
 /// g and κ(g) of each size.
@@ -129,19 +169,14 @@ type Sizes = [(f64, f64); SIZES.len()];
 
 impl<'c> Years<'c> {
     fn new(calibration: &'c Calibration<'c>, seed: u64) -> Self {
-        let step = Step::over(calibration.phi, 1);
-        let sizes = |unit: f64| {
-            SIZES.map(|size| {
-                let g = (unit * size * calibration.unit / calibration.sigma).min(LARGEST_SHIFT);
-                (g, calibration.cumulant.at(g))
-            })
-        };
+        let sizes = SIZES.map(|size| {
+            let g = (calibration.steps.mean * size * calibration.unit).min(LARGEST_SHIFT);
+            (g, calibration.cumulant.at(g))
+        });
         Self {
             calibration,
             random: ChaCha8Rng::seed_from_u64(seed),
-            onset: sizes(step.onset()),
-            later: sizes(step.later()),
-            step,
+            sizes,
         }
     }
 
@@ -158,31 +193,28 @@ impl<'c> Years<'c> {
     fn year(&mut self, shift: f64, threshold: f64) -> (f64, Option<u32>) {
         let (mut evidence, mut largest) = ([0.0_f64; SIZES.len()], f64::NEG_INFINITY);
         let residuals = self.calibration.residuals;
+        let remainders = &self.calibration.steps.remainders;
         let mut place = 0;
         for day in 0..DAYS {
             if day % BLOCK == 0 {
                 place = (self.random.next_u64() % residuals.len().max(1) as u64) as usize;
             }
             let drawn = residuals.get((place + day % BLOCK) % residuals.len().max(1));
-            let remainder = match day.cmp(&ONSET) {
-                std::cmp::Ordering::Less => 0.0,
-                std::cmp::Ordering::Equal => self.step.onset(),
-                std::cmp::Ordering::Greater => self.step.later(),
-            };
-            let shifted =
-                drawn.copied().unwrap_or(0.0) - remainder * shift / self.calibration.sigma;
+            let remainder = day.checked_sub(ONSET).map_or(0.0, |age| remainders[age]);
+            let shifted = drawn.copied().unwrap_or(0.0) - remainder * shift;
             let z = shifted.clamp(-CLIP, CLIP);
             let mut total = 0.0;
-            for ((sum, onset), later) in evidence.iter_mut().zip(self.onset).zip(self.later) {
-                let first = (-onset.0 * z - onset.1).exp() / SIZES.len() as f64;
-                *sum = (*sum * (-later.0 * z - later.1).exp() + first).min(f64::MAX / 1e10);
+            for (sum, (g, kappa)) in evidence.iter_mut().zip(self.sizes) {
+                let begun = *sum + 1.0 / SIZES.len() as f64;
+                *sum = (begun * (-g * z - kappa).exp()).min(f64::MAX / 1e10);
                 total += *sum;
             }
             let ln_total = f64::ln(total);
             largest = largest.max(ln_total);
             if shift > 0.0 && day >= ONSET && ln_total > threshold {
                 let delay = (day - ONSET + 1) as u32;
-                return (largest, Some(delay.max(SHORTEST_STEP_DAYS)));
+                let shortest = SHORTEST_STEP_DAYS + HELD_DAYS - 1;
+                return (largest, Some((delay + HELD_DAYS - 1).max(shortest)));
             }
         }
         (largest, None)

@@ -1,22 +1,17 @@
 //! The course of one quantity: commissioning, then one decision per day.
 
 use crate::cusum;
-use crate::day::{Day, DaySums};
+use crate::day::{Day, DayEpochs};
 use crate::detector::{Detector, Evidence, StepEstimate};
 use crate::judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
-use crate::reference::{Missing, Reference, interval_quantile};
+use crate::model::Row;
+use crate::reference::{Expected, Missing, Reference};
 use crate::regression::{Posterior, weight};
 use crate::settings::{Quantity, Settings};
-use crate::whitening::{Row, Step};
 use serde::{Deserialize, Serialize};
 
-/// Longest gap (days) over which days are correlated. Beyond it, φ^Δt has no support.
-const LONGEST_GAP_DAYS: i64 = 30;
 /// Days between attempts to learn the reference after a commissioning that was not ready.
 const RETRY_DAYS: i64 = 7;
-/// Guarded learning clips residuals at these numbers of σ: a loss is learnt slowly.
-const LEARNT_LOSS: f64 = -1.0;
-const LEARNT_GAIN: f64 = 3.0;
 /// The drift of the learnt reference is raised at a probability of 0.999: this quantile of the
 /// normal distribution.
 const LEARNED_AWAY_QUANTILE: f64 = 3.090;
@@ -26,7 +21,7 @@ const INTERVAL_QUANTILE: f64 = 1.960;
 /// Course of one quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Course {
-    pub(crate) sums: DaySums,
+    pub(crate) epochs: DayEpochs,
     phase: Phase,
     finding: Option<Finding>,
 }
@@ -52,7 +47,7 @@ struct Judging {
     detector: Detector,
     cusum: f64,
     cusum_threshold: f64,
-    /// Last day within experience.
+    /// Last day.
     previous: Day,
 }
 
@@ -72,7 +67,7 @@ pub(crate) struct Frame<'s> {
 impl Course {
     pub(crate) fn new() -> Self {
         Self {
-            sums: DaySums::default(),
+            epochs: DayEpochs::default(),
             phase: Phase::Learning(Commissioning::default()),
             finding: None,
         }
@@ -92,7 +87,7 @@ impl Course {
 
     /// Ends a day and returns its judgement.
     pub(crate) fn end_day(&mut self, frame: Frame<'_>) -> Judgement {
-        let day = self.sums.take(frame.day);
+        let day = self.epochs.take(frame.day);
         let mut judgement = Judgement {
             day: frame.day,
             quantity: frame.quantity.name.clone(),
@@ -192,31 +187,47 @@ impl Judging {
 
     /// Judges a day and learns from it, unless an alarm holds.
     fn end_day(&mut self, day: &Day, alarm: bool) -> (State, Option<Expectation>) {
-        let row = self.row(day);
-        let leverage = self.adaptive.leverage(&row.x);
+        let Reference {
+            columns, structure, ..
+        } = &self.reference;
+        let passed = day.number - self.previous.number;
+        self.adaptive.evolve(columns, structure, passed);
+        self.detector.evolve(columns, structure, passed);
+        let row = self.reference.row(day, Some(&self.previous));
+        let expected = Expected::new(columns, structure, &self.adaptive, &row);
         let novelty = match () {
             () if self.reference.is_new_frost(day) => Some(Novelty::Frost),
-            () if leverage > 1.0 => Some(Novelty::Extrapolation),
+            () if expected.is_unknown || self.reference.is_beyond(day) => {
+                Some(Novelty::Extrapolation)
+            }
             () => None,
         };
-        let step = self.step_to(day);
-        let whitened = step.whiten(&row, &self.row(&self.previous));
-        let scale = self.adaptive.sigma * (1.0 + self.adaptive.leverage(&whitened.x)).sqrt();
-        let z = (whitened.y - self.adaptive.expected(&whitened.x)) / scale;
+        let variance = columns.variance(&row, structure, self.adaptive.sigma);
+        let (scale, z) = (expected.std, (row.y - expected.value) / expected.std);
         if novelty.is_none() {
             let cumulant = &self.reference.cumulant;
-            let evidence = Evidence { z, scale, cumulant };
-            self.detector.judge(day.number, &whitened.x, step, evidence);
+            let evidence = Evidence {
+                z,
+                scale,
+                share: 1.0 - columns.zone(&row),
+                ln_threshold: self.reference.ln_threshold,
+                cumulant,
+            };
+            self.detector.judge(day.number, &row.x, evidence);
             self.cusum = cusum::next(self.cusum, z.clamp(-3.0, 3.0));
         }
-        let expectation = self.expectation(&row, leverage, z);
+        let expectation = self.expectation(&row, &expected, z);
         if !alarm {
-            self.learn(&whitened, step, Learnt { z, scale, novelty });
-            self.reference.remember_frost(day);
+            let learnt = Learnt {
+                z,
+                scale,
+                variance,
+                novelty,
+            };
+            self.learn(&row, learnt);
+            self.reference.remember(day);
         }
-        if novelty.is_none() {
-            self.previous = day.clone();
-        }
+        self.previous = day.clone();
         let state = match novelty {
             Some(novelty) => State::OutsideExperience { novelty },
             None => State::Judged,
@@ -224,44 +235,49 @@ impl Judging {
         (state, Some(expectation))
     }
 
-    fn row(&self, day: &Day) -> Row {
+    /// Guarded learning: a lasting loss is learnt slowly. New conditions, and what forgets, are learnt
+    /// without a guard: the end of a frost must not look like a loss.
+    fn learn(&mut self, row: &Row, learnt: Learnt) {
         let Reference {
             columns,
-            knot,
-            centre,
+            structure,
+            guard,
             ..
         } = &self.reference;
-        columns.row(day, *knot, *centre)
-    }
-
-    /// Returns the step from the last day within experience. A day outside experience has no
-    /// successor, because its own deviation is not the correlated one.
-    fn step_to(&self, day: &Day) -> Step {
-        let days = day.number - self.previous.number;
-        match (1..=LONGEST_GAP_DAYS).contains(&days) {
-            true => Step::over(self.reference.phi, days),
-            false => Step::FIRST,
-        }
-    }
-
-    /// Guarded learning: a loss is learnt slowly, and a new condition without a guard.
-    fn learn(&mut self, whitened: &Row, step: Step, learnt: Learnt) {
-        let (z, weight) = match learnt.novelty {
-            Some(_) => (learnt.z, 1.0),
-            None => (learnt.z.clamp(LEARNT_LOSS, LEARNT_GAIN), weight(learnt.z)),
+        let Learnt { z, scale, .. } = learnt;
+        let (lasting, weight) = match learnt.novelty {
+            Some(_) => (z, 1.0),
+            None => (guard.limit(z), weight(structure.freedom, z)),
         };
-        let gain = self.adaptive.learn(&whitened.x, z * learnt.scale, weight);
-        let judged = learnt.novelty.is_none();
-        self.detector.learn(&whitened.x, step, &gain, judged);
+        let variance = learnt.variance / weight;
+        let only_frost = columns.zone(row) > 0.0;
+        let gain = self.adaptive.gain(&row.x, variance, |column| {
+            !only_frost || columns.is_of_frost(column)
+        });
+        self.adaptive
+            .learn_with(&gain, &row.x, lasting * scale, variance);
+        // What the guard keeps from the lasting coefficients remains in the residuals of a step.
+        let learnt_share = if z == 0.0 {
+            1.0
+        } else {
+            (lasting / z).clamp(0.0, 1.0)
+        };
+        let mut response = &gain * learnt_share;
+        for forgetful in columns.forgetful(structure) {
+            let column = forgetful.column;
+            self.adaptive.mean[column] += gain[column] * (z - lasting) * scale;
+            response[column] = gain[column];
+        }
+        self.detector.learn(&row.x, &response);
     }
 
-    fn expectation(&self, row: &Row, leverage: f64, z: f64) -> Expectation {
-        let expected = self.adaptive.expected(&row.x) + self.reference.centre;
-        let half = interval_quantile() * self.adaptive.sigma * (1.0 + leverage).sqrt();
+    fn expectation(&self, row: &Row, expected: &Expected, z: f64) -> Expectation {
+        let centre = self.reference.centre;
+        let half = self.reference.quantile * expected.scatter_std;
         Expectation {
-            measured: (row.y + self.reference.centre).exp(),
-            expected: expected.exp(),
-            interval: [(expected - half).exp(), (expected + half).exp()],
+            measured: (row.y + centre).exp(),
+            expected: (expected.value + centre).exp(),
+            interval: [-half, half].map(|half| (expected.value + half + centre).exp()),
             residual: z,
             ln_evidence: self.detector.ln_loss(),
             ln_threshold: self.reference.ln_threshold,
@@ -276,20 +292,28 @@ impl Judging {
         per_stiffness: f64,
         known: Option<Finding>,
     ) -> Option<Finding> {
-        let change = |step: StepEstimate, found_day| Change {
-            found_day,
-            since_day: step.day,
-            loss: loss(step.size, per_stiffness),
-            interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
-                .map(|q| loss(step.size + q * step.std, per_stiffness)),
+        let Reference {
+            columns, structure, ..
+        } = &self.reference;
+        let change = |step: StepEstimate, found_day| {
+            // A deviation that began with the step cannot be told from it.
+            let std = step
+                .std
+                .hypot(columns.deviation(structure, frame.day - step.day + 1));
+            Change {
+                found_day,
+                since_day: step.day,
+                loss: loss(step.size, per_stiffness),
+                interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
+                    .map(|q| loss(step.size + q * std, per_stiffness)),
+            }
         };
         let found_day = |known: Option<Finding>| known.map_or(frame.day, |f| f.change().found_day);
-        let threshold = self.reference.ln_threshold;
         if let Some(known @ Finding::LearnedAway(_)) = known {
             return Some(known);
         }
         let lost = known.filter(|known| matches!(known, Finding::LastingLoss(_)));
-        if (lost.is_some() || self.detector.finds_loss(threshold))
+        if (lost.is_some() || self.detector.finds_loss())
             && let Some(step) = self.detector.loss()
         {
             return Some(Finding::LastingLoss(change(step, found_day(lost))));
@@ -297,7 +321,7 @@ impl Judging {
         if let Some(step) = self.learned_away(frame, per_stiffness) {
             return Some(Finding::LearnedAway(change(step, frame.day)));
         }
-        if (known.is_some() || self.detector.finds_gain(threshold))
+        if (known.is_some() || self.detector.finds_gain())
             && let Some(step) = self.detector.gain()
         {
             return Some(Finding::Stiffer(change(step, found_day(known))));
@@ -315,7 +339,9 @@ impl Judging {
             ..
         } = &self.reference;
         let size = self.adaptive.expected(conditions) - posterior.expected(conditions);
-        let std = posterior.sigma * posterior.leverage(conditions).sqrt();
+        let known = posterior.sigma.powi(2) * posterior.leverage(conditions);
+        let wander = self.reference.columns.wander(frame.day - to_day);
+        let std = (known + wander).sqrt();
         let matters = per_stiffness * (1.0 - frame.settings.loss).ln();
         // P(size + std · normal < matters) ≥ 0.999
         (size + LEARNED_AWAY_QUANTILE * std < matters).then_some(StepEstimate {
@@ -331,6 +357,7 @@ impl Judging {
 struct Learnt {
     z: f64,
     scale: f64,
+    variance: f64,
     novelty: Option<Novelty>,
 }
 

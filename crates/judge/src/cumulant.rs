@@ -1,4 +1,4 @@
-//! Cumulant generating function of the whitened residuals.
+//! Cumulant generating function of the residuals.
 //!
 //! An e-detector needs increments L with E[L | past] ≤ 1 while the structure is sound. The increment
 //! exp(g z − κ(g)) meets this if κ(g) ≥ ln E[exp(g z)]. κ(g) is the larger of two values: g²/2, which
@@ -10,10 +10,10 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Whitened residuals are clipped at ± this, so that one day cannot decide.
-pub(crate) const CLIP: f64 = 3.0;
-/// Largest |g|. The increment of a residual of −3 is then at most e⁴.
-pub(crate) const LARGEST_SHIFT: f64 = 2.0;
+/// Residuals are clipped at ± this, so that one day cannot decide.
+pub(crate) const CLIP: f64 = 2.5;
+/// Largest |g|. The increment of one day is then at most e^2.6.
+pub(crate) const LARGEST_SHIFT: f64 = 1.5;
 /// Distance between the entries of the table.
 const SPACING: f64 = 0.1;
 /// Largest g of the table.
@@ -26,7 +26,7 @@ pub(crate) struct Cumulant {
 }
 
 impl Cumulant {
-    /// Tabulates κ for whitened residuals in units of σ.
+    /// Tabulates κ for residuals in units of σ.
     pub(crate) fn new(residuals: &[f64]) -> Self {
         let entries = (LARGEST / SPACING).round() as usize;
         let n = residuals.len().max(1) as f64;

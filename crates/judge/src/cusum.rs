@@ -1,4 +1,4 @@
-//! One-sided CUSUM of the whitened residuals, as a cross-check of the e-detector.
+//! One-sided CUSUM of the residuals, as a cross-check of the e-detector.
 //!
 //! S = max(0, S − z − k). Its average run length is approximately
 //! (e^(2kb) − 2kb − 1)/(2k²) with b = h + 1.166. Source: Siegmund (1985), Sequential Analysis,

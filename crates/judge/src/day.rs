@@ -3,66 +3,98 @@
 //! A day is the unit of decision. All regressors enter as means over the same epochs as the
 //! quantity, so that the mean of a linear model is the model of the means.
 
-use crate::frost::{KNOTS, below};
+use crate::frost::{DAY_KNOTS, below_all};
 use serde::{Deserialize, Serialize};
 
 /// Seconds of a day.
 pub(crate) const DAY_S: f64 = 86_400.0;
+
+/// Most epochs of a day that are kept. Beyond it, every second one is left out.
+const MOST_EPOCHS: usize = 96;
+/// An epoch that is farther than this from the median of its day belongs to another mode, in robust
+/// standard deviations,
+const FARTHEST: f64 = 5.0;
+/// and at least this far, in ln(value).
+const SMALLEST_DISTANCE: f64 = 0.01;
+/// Robust standard deviation per median of the absolute deviations.
+const ROBUST: f64 = 1.4826;
 
 /// One day of a quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Day {
     /// Days since 1970-01-01 UTC.
     pub(crate) number: i64,
+    /// Number of epochs.
+    pub(crate) epochs: u16,
     /// Mean of ln(value).
     pub(crate) y: f64,
     /// Mean of each condition, in the scale of the model.
-    pub(crate) conditions: Vec<f64>,
-    /// Mean of min(T − T0, 0) (°C) for each condition and each candidate of T0.
-    pub(crate) below: Vec<[f32; KNOTS.len()]>,
+    pub(crate) conditions: Vec<f32>,
+    /// Mean of min(T − T0, 0) (°C) for each condition and each knot.
+    pub(crate) below: Vec<[f32; DAY_KNOTS]>,
 }
 
-/// Sums of the day that is not over yet.
+/// Epochs of the day that is not over yet.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct DaySums {
-    count: u32,
-    y: f64,
-    conditions: Vec<f64>,
-    below: Vec<[f64; KNOTS.len()]>,
+pub(crate) struct DayEpochs {
+    /// ln(value) and the conditions of each kept epoch.
+    kept: Vec<(f64, Vec<f64>)>,
+    /// Number of epochs so far, and how many of them stand for one that is kept.
+    count: usize,
+    stride: usize,
 }
 
-impl DaySums {
+impl DayEpochs {
     /// Adds one epoch: ln(value), and the conditions in the scale of the model.
     pub(crate) fn add(&mut self, y: f64, conditions: &[f64]) {
-        if self.count == 0 {
-            self.conditions = vec![0.0; conditions.len()];
-            self.below = vec![[0.0; KNOTS.len()]; conditions.len()];
+        let stride = self.stride.max(1);
+        if self.count.is_multiple_of(stride) {
+            self.kept.push((y, conditions.to_vec()));
         }
         self.count += 1;
-        self.y += y;
-        for (sum, value) in self.conditions.iter_mut().zip(conditions) {
-            *sum += value;
-        }
-        for (sums, value) in self.below.iter_mut().zip(conditions) {
-            for (sum, knot) in sums.iter_mut().zip(KNOTS) {
-                *sum += below(*value, knot);
-            }
+        if self.kept.len() >= MOST_EPOCHS {
+            let mut index = 0;
+            self.kept.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.stride = 2 * stride;
         }
     }
 
     /// Returns the means, or `None` if no epoch had the quantity and all conditions. Starts anew.
+    ///
+    /// Epochs that are far from the others do not count.
     pub(crate) fn take(&mut self, number: i64) -> Option<Day> {
-        let sums = std::mem::take(self);
-        let count = f64::from(sums.count);
-        (sums.count > 0).then(|| Day {
+        let epochs = std::mem::take(self).kept;
+        let middle = median(epochs.iter().map(|(y, _)| *y))?;
+        let spread = median(epochs.iter().map(|(y, _)| (y - middle).abs()))?;
+        let farthest = (FARTHEST * ROBUST * spread).max(SMALLEST_DISTANCE);
+        let counts = |epoch: &&(f64, Vec<f64>)| (epoch.0 - middle).abs() <= farthest;
+        let counting: Vec<_> = epochs.iter().filter(counts).collect();
+        let (_, first) = counting.first()?;
+        let count = counting.len() as f64;
+        let mean = |of: &dyn Fn(&[f64]) -> f64| {
+            counting.iter().map(|(_, values)| of(values)).sum::<f64>() / count
+        };
+        let below = |index: usize| {
+            std::array::from_fn(|knot| mean(&|values| below_all(values[index])[knot]) as f32)
+        };
+        Some(Day {
             number,
-            y: sums.y / count,
-            conditions: sums.conditions.iter().map(|sum| sum / count).collect(),
-            below: sums
-                .below
-                .iter()
-                .map(|sums| sums.map(|sum| (sum / count) as f32))
+            epochs: counting.len() as u16,
+            y: counting.iter().map(|(y, _)| y).sum::<f64>() / count,
+            conditions: (0..first.len())
+                .map(|index| mean(&|values| values[index]) as f32)
                 .collect(),
+            below: (0..first.len()).map(below).collect(),
         })
     }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    let [low, high] = [values.len().checked_sub(1)? / 2, values.len() / 2];
+    Some(0.5 * (values[low] + values[high]))
 }

@@ -1,7 +1,7 @@
 //! Shiryaev–Roberts e-detector of a lasting step.
 //!
 //! A candidate is a day on which a step may have begun. For each candidate and each size δ of the
-//! step, the whitened residual z of day t has the expected value g = h(t) δ/scale. The evidence of
+//! step, the residual z of day t has the expected value g = h(t) δ/scale. The evidence of
 //! the candidate is Π exp(g z − κ(g)). The detector is the sum over candidates and the mean over
 //! sizes,
 //!
@@ -12,11 +12,11 @@
 //! days. Source: Shin, Ramdas & Rinaldo (2024), on e-detectors of Shiryaev–Roberts type.
 //!
 //! The regression keeps learning and absorbs part of a step. h(t) is what remains of a unit step in
-//! the residual: h(t) = 1(t) − x(t)ᵀ c(t), where c(t) is the response of the coefficients, with
+//! the residual: h(t) = 1 − x(t)ᵀ c(t), where c(t) is the response of the coefficients, with
 //! c ← c + K h. Source: Willsky & Jones (1976), IEEE Transactions on Automatic Control 21, 108–112.
 
 use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
-use crate::whitening::Step;
+use crate::model::{Columns, Structure};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +26,13 @@ pub(crate) const SIZES: [f64; 3] = [1.0, 2.0, 4.0];
 const MOST_CANDIDATES: usize = 120;
 /// Smallest number of judged days of a candidate that counts. A single wrong day must not decide.
 pub(crate) const SHORTEST_STEP_DAYS: u32 = 3;
+
+/// Number of judged days on which R must hold its threshold. Rain, snow or a holiday last for some
+/// days, and the evidence recedes after them.
+pub(crate) const HELD_DAYS: u32 = 3;
+
+/// Smallest step that is raised, as a share of the loss that matters.
+const SMALLEST_STEP: f64 = 0.7;
 
 /// A day on which a step may have begun.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,10 +52,14 @@ struct Candidate {
 /// What one judged day contributes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Evidence<'d> {
-    /// Whitened residual in units of `scale`.
+    /// Residual in units of `scale`.
     pub(crate) z: f64,
-    /// Standard deviation of the whitened residual, parameter uncertainty included.
+    /// Standard deviation of the residual, parameter uncertainty included.
     pub(crate) scale: f64,
+    /// Share of the evidence that counts: none in the frost zone.
+    pub(crate) share: f64,
+    /// ln of the threshold.
+    pub(crate) ln_threshold: f64,
     /// κ of the quantity.
     pub(crate) cumulant: &'d Cumulant,
 }
@@ -68,6 +79,9 @@ pub(crate) struct Detector {
     /// Change of ln(value) of the loss that matters, positive.
     unit: f64,
     candidates: Vec<Candidate>,
+    /// Number of the latest judged days on which a loss, and a gain, were above the threshold.
+    held_loss: u32,
+    held_gain: u32,
 }
 
 impl Detector {
@@ -75,13 +89,13 @@ impl Detector {
         Self {
             unit,
             candidates: Vec::new(),
+            held_loss: 0,
+            held_gain: 0,
         }
     }
 
-    /// Adds the day as a candidate, and the day's evidence to every candidate.
-    ///
-    /// `x` is the whitened row of regressors and `step` the whitening of the day.
-    pub(crate) fn judge(&mut self, day: i64, x: &DVector<f64>, step: Step, data: Evidence<'_>) {
+    /// Adds the day as a candidate, and the day's evidence to every candidate. `x` is its row.
+    pub(crate) fn judge(&mut self, day: i64, x: &DVector<f64>, data: Evidence<'_>) {
         let (unit, z) = (self.unit, data.z.clamp(-CLIP, CLIP));
         let prior = -(SIZES.len() as f64).ln();
         self.candidates.push(Candidate {
@@ -94,36 +108,41 @@ impl Detector {
             moment: 0.0,
         });
         for candidate in &mut self.candidates {
-            let h = candidate.remainder(x, step);
+            let h = candidate.remainder(x);
             for (index, size) in SIZES.iter().enumerate() {
-                let g = (h * size * unit / data.scale).clamp(-LARGEST_SHIFT, LARGEST_SHIFT);
+                let shift = data.share * h * size * unit / data.scale;
+                let g = shift.clamp(-LARGEST_SHIFT, LARGEST_SHIFT);
                 let kappa = data.cumulant.at(g);
                 candidate.loss[index] += -g * z - kappa;
                 candidate.gain[index] += g * z - kappa;
             }
-            candidate.information += (h / data.scale).powi(2);
-            candidate.moment += h * data.z / data.scale;
+            candidate.information += data.share * (h / data.scale).powi(2);
+            candidate.moment += data.share * h * data.z / data.scale;
             candidate.judged_days += 1;
         }
+        let counted = |holds: bool, held: u32| if holds { held.saturating_add(1) } else { 0 };
+        self.held_loss = counted(self.shows_loss(data.ln_threshold), self.held_loss);
+        self.held_gain = counted(self.shows_gain(data.ln_threshold), self.held_gain);
         if self.candidates.len() > MOST_CANDIDATES {
             self.drop_weakest();
         }
     }
 
-    /// Updates the response of every candidate after the regression has learnt a row with `gain`.
-    ///
-    /// `judged` is `true` if the day has been judged, so that the newest candidate starts with it.
-    pub(crate) fn learn(
-        &mut self,
-        x: &DVector<f64>,
-        step: Step,
-        gain: &DVector<f64>,
-        judged: bool,
-    ) {
+    /// Lets a number of days pass: some coefficients forget, and so do their responses to a step.
+    pub(crate) fn evolve(&mut self, columns: &Columns, structure: &Structure, days: i64) {
+        for forgetful in columns.forgetful(structure) {
+            let kept = forgetful.kept(days);
+            for candidate in &mut self.candidates {
+                candidate.response[forgetful.column] *= kept;
+            }
+        }
+    }
+
+    /// Updates the response of every candidate after the regression has learnt a row with `gain`, as
+    /// far as the guard let it learn.
+    pub(crate) fn learn(&mut self, x: &DVector<f64>, gain: &DVector<f64>) {
         for candidate in &mut self.candidates {
-            let first = judged && candidate.judged_days == 1;
-            let unit = if first { step.onset() } else { step.later() };
-            let h = unit - x.dot(&candidate.response);
+            let h = candidate.remainder(x);
             candidate.response.axpy(h, gain, 1.0);
         }
     }
@@ -138,18 +157,26 @@ impl Detector {
         self.total(|candidate| &candidate.gain)
     }
 
-    /// Returns `true` if a loss that matters has begun: R has reached the threshold, and the step is
-    /// nearer to the loss that matters than to none.
-    ///
-    /// The second condition keeps a precise quantity from raising a change that does not matter.
-    pub(crate) fn finds_loss(&self, ln_threshold: f64) -> bool {
-        let matters = |step: StepEstimate| step.size <= -0.5 * self.unit;
-        self.ln_loss() >= ln_threshold && self.loss().is_some_and(matters)
+    /// Returns `true` if a loss that matters has begun, and has been seen for some days.
+    pub(crate) fn finds_loss(&self) -> bool {
+        self.held_loss >= HELD_DAYS
     }
 
     /// Returns `true` if a gain of the same size has begun.
-    pub(crate) fn finds_gain(&self, ln_threshold: f64) -> bool {
-        let matters = |step: StepEstimate| step.size >= 0.5 * self.unit;
+    pub(crate) fn finds_gain(&self) -> bool {
+        self.held_gain >= HELD_DAYS
+    }
+
+    /// Returns `true` if R has reached the threshold, and the most likely step is large enough.
+    ///
+    /// The second condition keeps a precise quantity from raising a change that does not matter.
+    fn shows_loss(&self, ln_threshold: f64) -> bool {
+        let matters = |step: StepEstimate| step.size <= -SMALLEST_STEP * self.unit;
+        self.ln_loss() >= ln_threshold && self.loss().is_some_and(matters)
+    }
+
+    fn shows_gain(&self, ln_threshold: f64) -> bool {
+        let matters = |step: StepEstimate| step.size >= SMALLEST_STEP * self.unit;
         self.ln_gain() >= ln_threshold && self.gain().is_some_and(matters)
     }
 
@@ -209,14 +236,9 @@ impl Detector {
 }
 
 impl Candidate {
-    /// Returns h: what remains of a unit step in the whitened residual.
-    fn remainder(&self, x: &DVector<f64>, step: Step) -> f64 {
-        let unit = if self.judged_days == 0 {
-            step.onset()
-        } else {
-            step.later()
-        };
-        unit - x.dot(&self.response)
+    /// Returns h: what remains of a unit step in the residual.
+    fn remainder(&self, x: &DVector<f64>) -> f64 {
+        1.0 - x.dot(&self.response)
     }
 }
 

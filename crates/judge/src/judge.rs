@@ -72,7 +72,7 @@ impl Judge {
         };
         for (course, value) in self.courses.iter_mut().zip(&epoch.quantities) {
             if let Some(value) = value.filter(|value| value.is_finite() && *value > 0.0) {
-                course.sums.add(value.ln(), &conditions);
+                course.epochs.add(value.ln(), &conditions);
             }
         }
         Ok(())

@@ -41,8 +41,8 @@
 //!
 //! Maths:
 //!
-//! - `day`, `frost`, `model`: the mean of a day and its regressors
-//! - `whitening`, `regression`: generalised least squares with priors in physical units
+//! - `day`, `frost`, `extremes`, `model`: the mean of a day and its regressors
+//! - `regression`, `choice`: a dynamic linear model with priors in physical units
 //! - `cumulant`, `detector`, `cusum`: the evidence of a lasting step
 //! - `calibration`: the threshold that holds the budget
 //!
@@ -52,9 +52,9 @@
 //! - `course`: one quantity, day by day
 //! - [`Judge`]: the state machine of a structure, without clock, log or I/O
 //!
-//! Notation: y is the mean of ln(value) over a day, and x its regressors. σ is the standard deviation
-//! of a day, and φ the correlation of two successive days. z is a whitened residual in units of its
-//! standard deviation. R is the evidence of a lasting step.
+//! Notation: y is the mean of ln(value) over a day, and x its regressors. σ is the scale of the error
+//! of a day, and u a deviation with a memory. z is a residual in units of its standard deviation,
+//! predicted from the days before it. R is the evidence of a lasting step.
 //!
 //! For rules on single estimates, within seconds, use `spandrel-alert`.
 
@@ -64,11 +64,12 @@ mod judgement;
 mod settings;
 
 mod day;
+mod extremes;
 mod frost;
 mod model;
 
+mod choice;
 mod regression;
-mod whitening;
 
 mod calibration;
 mod cumulant;

@@ -1,22 +1,87 @@
-//! The regressors of a quantity: 1, each condition, and each temperature below T0.
+//! The regressors of a quantity, and how their coefficients change in time.
+//!
+//! The coefficients are, in this order: the level; the slope of each condition; for each temperature
+//!
+//! - the additional slope below T0 (frost), and the change of slope where the frost is complete
+//! - the change of slope at each of two warmer knots
+//! - the effect of the day before: of its temperature, and of its frost
+//! - the offset in the frost zone, which differs from one cold spell to the next;
+//!
+//! and the deviation u, which has no measured cause. All have a prior in physical units. The level
+//! wanders slowly, the offsets and the deviation forget.
 
 use crate::day::Day;
+use crate::frost::{BENDS, KNOTS, below, zone};
 use crate::settings::{Condition, Quantity};
-use crate::whitening::{Row, Step};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
 /// Prior standard deviation of ln(value) at the conditions of zero, around the commissioning mean.
 const INTERCEPT: f64 = 0.2;
+/// Standard deviation of the sound change of ln(frequency) within a year: settling, creep.
+const WANDER_PER_YEAR: f64 = 0.003;
+/// Parts of the prior of a slope: of its change at a warm knot, and of the effect of the day before.
+const BEND_PART: f64 = 1.0 / 3.0;
+const LAG_PART: f64 = 1.0 / 3.0;
+/// Memory of the offset in the frost zone (days): a cold spell.
+const SPELL_DAYS: f64 = 4.0;
+/// Candidates of the standard deviation of this offset in ln(frequency), and of the additional
+/// scatter of a day in the frost zone. Without frost in the commissioning, the largest ones hold.
+pub(crate) const OFFSETS: [f64; 2] = [0.003, 0.01];
+pub(crate) const ZONE_SCATTERS: [f64; 2] = [0.002, 0.006];
+/// Candidates of the memory of the deviation (days), and of its standard deviation in
+/// ln(frequency). The smallest one holds for structures that seem perfectly predictable: moisture,
+/// traffic and the identification change frequencies by this much within weeks, and a commissioning
+/// does not see all of it.
+pub(crate) const MEMORIES: [f64; 2] = [10.0, 40.0];
+pub(crate) const DEVIATIONS: [f64; 3] = [0.003, 0.006, 0.012];
+/// Share of the variance of a day that its epochs have each for itself.
+const EPOCH_SHARE: f64 = 0.5;
+
+/// What the days before the judgement decide about the model.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Structure {
+    /// Index of T0 among the candidates.
+    pub(crate) knot: usize,
+    /// Standard deviation of an offset in the frost zone, in ln(frequency).
+    pub(crate) offset: f64,
+    /// Additional scatter of a day in the frost zone, in ln(frequency).
+    pub(crate) zone_scatter: f64,
+    /// Memory of the deviation (days), and its standard deviation in ln(frequency).
+    pub(crate) memory_days: f64,
+    pub(crate) deviation: f64,
+    /// ν: degrees of freedom of the errors.
+    pub(crate) freedom: f64,
+    /// Usual number of epochs of a day.
+    pub(crate) usual_epochs: f64,
+}
 
 /// Columns of the regression of a quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Columns {
     /// Index of the temperatures among the conditions.
     pub(crate) temperatures: Vec<usize>,
-    /// Prior standard deviation of each coefficient.
-    pub(crate) prior: DVector<f64>,
+    /// Prior standard deviation of each coefficient that does not forget.
+    prior: DVector<f64>,
+    /// Number of the conditions.
+    conditions: usize,
+    /// Size of changes of ln(value) relative to those of ln(frequency).
+    size: f64,
 }
+
+/// A row of the regression.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Row {
+    /// Regressors, with their own unit.
+    pub(crate) x: DVector<f64>,
+    /// ln(value), relative to the mean of the commissioning.
+    pub(crate) y: f64,
+    /// Number of epochs.
+    pub(crate) epochs: f64,
+}
+
+/// Columns per temperature: two of frost, one per warm knot, two of the day before, the offset.
+const PER_TEMPERATURE: usize = 5 + BENDS.len();
 
 impl Columns {
     pub(crate) fn new(quantity: &Quantity, conditions: &[Condition]) -> Self {
@@ -24,28 +89,135 @@ impl Columns {
         let temperatures = (0..conditions.len()).filter(is_temperature).collect();
         let priors = || conditions.iter().map(|c| c.kind.prior(quantity.kind));
         let slopes = priors().map(|prior| prior.slope);
-        let frost = priors().filter_map(|prior| prior.frost);
+        let of_temperature = priors().filter_map(|prior| {
+            let frost = prior.frost?;
+            let mut stds = vec![frost, frost];
+            stds.extend(BENDS.map(|_| BEND_PART * prior.slope));
+            stds.extend([LAG_PART * prior.slope, LAG_PART * frost, 0.0]);
+            Some(stds)
+        });
         let prior: Vec<f64> = std::iter::once(INTERCEPT)
             .chain(slopes)
-            .chain(frost)
+            .chain(of_temperature.flatten())
+            .chain(std::iter::once(0.0))
             .collect();
         Self {
             temperatures,
             prior: DVector::from_vec(prior),
+            conditions: conditions.len(),
+            size: 2.0 * quantity.kind.per_stiffness(),
         }
     }
 
-    /// Returns the row of a day for the candidate of T0 with index `knot`. `centre` is subtracted
-    /// from ln(value).
-    pub(crate) fn row(&self, day: &Day, knot: usize, centre: f64) -> Row {
-        let frost = self.frost(day, knot);
-        let values = std::iter::once(1.0)
-            .chain(day.conditions.iter().copied())
-            .chain(frost);
-        Row {
-            x: DVector::from_iterator(self.prior.len(), values),
-            y: day.y - centre,
+    /// Returns the number of the coefficients.
+    pub(crate) fn count(&self) -> usize {
+        self.prior.len()
+    }
+
+    /// Returns the standard deviation of a day under known conditions, with the deviation.
+    pub(crate) fn scatter(&self, structure: &Structure, sigma: f64) -> f64 {
+        sigma.hypot(self.size * structure.deviation)
+    }
+
+    /// Returns the standard deviation of the mean of the deviation over a number of days.
+    pub(crate) fn deviation(&self, structure: &Structure, days: i64) -> f64 {
+        let share = 2.0 * structure.memory_days / days.max(1) as f64;
+        self.size * structure.deviation * share.min(1.0).sqrt()
+    }
+
+    /// Returns the correlation of two successive days.
+    pub(crate) fn correlation(&self, structure: &Structure, sigma: f64) -> f64 {
+        let share = self.size * structure.deviation / self.scatter(structure, sigma);
+        share * share * (-1.0 / structure.memory_days).exp()
+    }
+
+    /// Returns the prior variance of each coefficient that does not forget.
+    pub(crate) fn prior_variance(&self) -> DVector<f64> {
+        self.prior.map(|std| std * std)
+    }
+
+    /// Returns the variance of the level that a number of days adds.
+    pub(crate) fn wander(&self, days: i64) -> f64 {
+        (self.size * WANDER_PER_YEAR).powi(2) * days.max(0) as f64 / 365.25
+    }
+
+    /// Returns the coefficients that forget.
+    pub(crate) fn forgetful<'c>(
+        &'c self,
+        structure: &'c Structure,
+    ) -> impl Iterator<Item = Forgetful> + 'c {
+        let offsets = self.offsets().map(|column| Forgetful {
+            column,
+            memory_days: SPELL_DAYS,
+            std: self.size * structure.offset,
+        });
+        offsets.chain(std::iter::once(Forgetful {
+            column: self.count() - 1,
+            memory_days: structure.memory_days,
+            std: self.size * structure.deviation,
+        }))
+    }
+
+    fn offsets(&self) -> impl Iterator<Item = usize> + use<> {
+        let first = 1 + self.conditions;
+        (1..=self.temperatures.len()).map(move |count| first + count * PER_TEMPERATURE - 1)
+    }
+
+    /// Returns how far a row is in the frost zone, from 0 to 1.
+    pub(crate) fn zone(&self, row: &Row) -> f64 {
+        let zones = self.offsets().map(|column| row.x[column]);
+        zones.fold(0.0, f64::max)
+    }
+
+    /// Returns `true` if a coefficient has an effect in the frost zone only.
+    pub(crate) fn is_of_frost(&self, column: usize) -> bool {
+        let Some(index) = column.checked_sub(1 + self.conditions) else {
+            return false;
+        };
+        let of_frost = [0, 1, PER_TEMPERATURE - 2, PER_TEMPERATURE - 1];
+        column + 1 < self.count() && of_frost.contains(&(index % PER_TEMPERATURE))
+    }
+
+    /// Returns the variance of a day alone, relative to σ²: above 1 in the frost zone, and with few
+    /// epochs.
+    pub(crate) fn variance(&self, row: &Row, structure: &Structure, sigma: f64) -> f64 {
+        let scatter = self.zone(row) * self.size * structure.zone_scatter;
+        let few = structure.usual_epochs / row.epochs.max(1.0);
+        1.0 + EPOCH_SHARE * (few - 1.0).max(0.0) + (scatter / sigma).powi(2)
+    }
+
+    /// Returns the row of a day for the candidate of T0 with index `knot`. `before` is the day
+    /// before it, if it has data, and `centre` is subtracted from ln(value).
+    pub(crate) fn row(&self, day: &Day, before: Option<&Day>, knot: usize, centre: f64) -> Row {
+        let before = before.filter(|before| before.number + 1 == day.number);
+        let before = before.unwrap_or(day);
+        let mut x = Vec::with_capacity(self.count());
+        x.push(1.0);
+        x.extend(day.conditions.iter().map(|value| f64::from(*value)));
+        for &index in &self.temperatures {
+            let (now, then) = (&day.below[index], &before.below[index]);
+            let celsius = [day, before].map(|day| f64::from(day.conditions[index]));
+            x.extend([f64::from(now[knot]), f64::from(now[KNOTS.len()])]);
+            x.extend(BENDS.map(|bend| below(celsius[0], bend)));
+            x.extend([celsius[1] - celsius[0], f64::from(then[knot] - now[knot])]);
+            x.push(zone(now, knot).max(zone(then, knot)));
         }
+        x.push(1.0);
+        Row {
+            x: DVector::from_vec(x),
+            y: day.y - centre,
+            epochs: f64::from(day.epochs),
+        }
+    }
+
+    /// Returns a row without what forgets: the offsets and the deviation.
+    pub(crate) fn lasting(&self, x: &DVector<f64>) -> DVector<f64> {
+        let mut x = x.clone();
+        for column in self.offsets() {
+            x[column] = 0.0;
+        }
+        x[self.count() - 1] = 0.0;
+        x
     }
 
     /// Returns the mean of min(T − T0, 0) (°C) of each temperature.
@@ -55,14 +227,33 @@ impl Columns {
             .map(move |index| f64::from(day.below[*index][knot]))
     }
 
-    /// Returns the whitened rows of days in ascending order.
-    pub(crate) fn whitened(&self, days: &[Day], knot: usize, centre: f64, phi: f64) -> Vec<Row> {
-        let rows: Vec<Row> = days.iter().map(|day| self.row(day, knot, centre)).collect();
-        let mut whitened = rows.first().cloned().into_iter().collect::<Vec<_>>();
-        for ((days, pair), _) in days.windows(2).zip(rows.windows(2)).zip(1..) {
-            let step = Step::over(phi, days[1].number - days[0].number);
-            whitened.push(step.whiten(&pair[1], &pair[0]));
-        }
-        whitened
+    /// Returns the rows of days in ascending order.
+    pub(crate) fn rows(&self, days: &[Day], knot: usize, centre: f64) -> Vec<Row> {
+        let before = |index: usize| index.checked_sub(1).and_then(|index| days.get(index));
+        let numbered = days.iter().enumerate();
+        numbered
+            .map(|(index, day)| self.row(day, before(index), knot, centre))
+            .collect()
+    }
+}
+
+/// A coefficient that forgets: a stationary process with a memory.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Forgetful {
+    pub(crate) column: usize,
+    memory_days: f64,
+    /// Standard deviation in ln(value).
+    std: f64,
+}
+
+impl Forgetful {
+    /// Returns the share that remains after a number of days.
+    pub(crate) fn kept(self, days: i64) -> f64 {
+        (-(days.max(0) as f64) / self.memory_days).exp()
+    }
+
+    /// Returns the stationary variance relative to σ².
+    pub(crate) fn variance(self, sigma: f64) -> f64 {
+        (self.std / sigma).powi(2)
     }
 }

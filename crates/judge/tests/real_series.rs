@@ -108,6 +108,8 @@ fn the_first_frost_is_outside_experience_and_raises_nothing() {
     describe(&state, &judgements);
     let alarm = first_alarm(&judgements);
     assert!(alarm.is_none(), "{:?}", alarm.map(Judgement::sentence));
+    let notice = judgements.iter().find(|judgement| judgement.raised);
+    assert!(notice.is_none(), "{:?}", notice.map(Judgement::sentence));
     let frost: Vec<i64> = epochs
         .iter()
         .filter(|epoch| epoch.conditions[0].is_some_and(|celsius| celsius < -1.0))

@@ -178,3 +178,68 @@ fn the_units_of_a_temperature_give_the_same_judgements() {
         }
     }
 }
+
+#[test]
+fn an_input_that_is_wrong_after_the_commissioning_gives_no_alarm() {
+    type Change = fn(&mut Epoch);
+    let mistakes: [(&str, Change); 4] = [
+        ("°F that arrive as °C", |epoch| {
+            epoch.conditions[0] = epoch.conditions[0].map(|celsius| 1.8 * celsius + 32.0);
+        }),
+        ("a thermometer of another place", |epoch| {
+            epoch.conditions[0] = epoch.conditions[0].map(|celsius| celsius + 25.0);
+        }),
+        ("a clock that jumps by 200 days", |epoch| {
+            epoch.time_s += 200.0 * 86_400.0;
+        }),
+        ("a program that finds no frequency", |epoch| {
+            epoch.quantities[0] = Some(f64::NAN);
+        }),
+    ];
+    for (name, change) in mistakes {
+        let mut series = epochs(160);
+        let is_late = |epoch: &&mut Epoch| epoch.time_s >= 120.0 * 86_400.0;
+        series.iter_mut().filter(is_late).for_each(change);
+        let (state, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+        describe(&state, &judgements);
+        assert!(first_alarm(&judgements).is_none(), "{name}");
+    }
+}
+
+#[test]
+fn an_epoch_of_another_mode_does_not_change_its_day() {
+    let series = epochs(130);
+    let (_, expected) = judge(settings(&["f1"], &["deck"], 100), &series);
+    let mut confused = series.clone();
+    for epoch in confused.iter_mut().step_by(16) {
+        epoch.quantities[0] = epoch.quantities[0].map(|value| 0.9 * value);
+    }
+    let (_, found) = judge(settings(&["f1"], &["deck"], 100), &confused);
+    let measured = |judgements: &[spandrel_judge::Judgement]| {
+        judgements.last().unwrap().expectation.unwrap().measured
+    };
+    assert!((measured(&found) / measured(&expected) - 1.0).abs() < 0.002);
+    assert!(first_alarm(&found).is_none());
+}
+
+#[test]
+fn the_state_of_three_thermometers_stays_below_64_kilobytes() {
+    let conditions = ["deck", "girder", "air"];
+    let mut state = Judge::new(settings(&["f1"], &conditions, 400)).unwrap();
+    let mut judgements = Vec::new();
+    let mut largest = 0;
+    for mut epoch in epochs(560) {
+        let deck = epoch.conditions[0].unwrap();
+        epoch.conditions = vec![
+            Some(deck),
+            Some(0.8 * deck + 1.0),
+            Some(deck - 0.5 * deck.sin()),
+        ];
+        state.handle(&epoch, &mut judgements).unwrap();
+        if epoch.time_s % (20.0 * 86_400.0) == 0.0 {
+            largest = largest.max(postcard::to_allocvec(&state).unwrap().len());
+        }
+    }
+    println!("largest state: {largest} bytes");
+    assert!(largest < 64 * 1024, "{largest} bytes");
+}

@@ -2,6 +2,7 @@
 
 use crate::error::ValidateError;
 use crate::fit;
+use crate::judging;
 use crate::outcome::Outcome;
 use crate::robustness;
 use crate::run::Run;
@@ -265,8 +266,8 @@ static CASES: [Case; 29] = [
 
 /// Returns all cases.
 ///
-/// The published ones come first, in the order of their sources. The cases of robustness and of the
-/// example files follow.
+/// The published ones come first, in the order of their sources. The cases of robustness, of the
+/// example files and of lasting change follow.
 #[must_use]
 pub fn cases() -> &'static [&'static Case] {
     static ALL: LazyLock<Vec<&'static Case>> = LazyLock::new(|| {
@@ -274,6 +275,7 @@ pub fn cases() -> &'static [&'static Case] {
             .iter()
             .chain(robustness::CASES)
             .chain(fit::CASES)
+            .chain(judging::CASES)
             .collect()
     });
     &ALL

@@ -28,6 +28,9 @@ pub enum ValidateError {
     /// An example file could not be run through the cores of the services.
     #[error("the example could not be run: {0}")]
     Fit(String),
+    /// A simulated series could not be judged.
+    #[error("the judgement stopped: {0}")]
+    Judge(#[from] spandrel_judge::JudgeError),
     /// A real record has no result.
     #[error(transparent)]
     Records(#[from] crate::robustness::records::RecordsError),

@@ -18,6 +18,7 @@ mod cases;
 mod error;
 mod figure;
 mod fit;
+mod judging;
 mod kept;
 mod network;
 mod outcome;
