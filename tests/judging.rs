@@ -301,7 +301,7 @@ async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit()
     let notify = notify(&others, address).await;
     let judge = others.judge().await;
     others.publish(&rows, 0..430, |deck| deck).await;
-    let before = ["learning", "not-ready", "judged"];
+    let before = ["learning", "judged"];
     assert_eq!(others.words("storey-1"), before);
     judge.kill();
     // The epochs that were open are lost.
@@ -452,7 +452,7 @@ async fn a_frozen_thermometer_gives_no_statement() {
     let mut others = Others::start(house(SHORT)).await;
     let judge = others.judge().await;
     others.publish(&rows, 0..40, |deck| deck).await;
-    assert_eq!(others.last().state, JudgementState::Judged);
+    assert_ne!(others.last().state, JudgementState::NoStatement);
     others.publish(&rows, 40..45, |_| 15.0).await;
     let last = others.last();
     assert_eq!(last.state, JudgementState::NoStatement, "{last:?}");

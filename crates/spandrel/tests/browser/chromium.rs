@@ -30,6 +30,8 @@ pub struct Browser {
     calls: u64,
     /// Errors and warnings of the page.
     complaints: Vec<String>,
+    /// Number of pages that have been loaded.
+    loads: u32,
     _profile: tempfile::TempDir,
     screenshots: PathBuf,
 }
@@ -100,6 +102,7 @@ impl Browser {
             socket,
             calls: 0,
             complaints: Vec::new(),
+            loads: 0,
             _profile: profile,
             screenshots,
         };
@@ -116,20 +119,26 @@ impl Browser {
         let text = json!({"id": id, "method": method, "params": parameters}).to_string();
         self.socket.send(text.into()).await.unwrap();
         loop {
-            let message = tokio::time::timeout(DEADLINE, self.socket.next()).await;
-            let message = message
-                .unwrap_or_else(|_| panic!("{method}: no answer"))
-                .expect("a running browser")
-                .unwrap();
-            let Ok(text) = message.to_text() else {
-                continue;
-            };
-            let mut message: Value = serde_json::from_str(text).unwrap();
+            let mut message = self.next(method).await;
             if message["id"] == id {
                 assert!(message["error"].is_null(), "{method}: {}", message["error"]);
                 return message["result"].take();
             }
             self.listen(&message);
+        }
+    }
+
+    /// Returns the next message of the protocol.
+    async fn next(&mut self, what: &str) -> Value {
+        loop {
+            let message = tokio::time::timeout(DEADLINE, self.socket.next()).await;
+            let message = message
+                .unwrap_or_else(|_| panic!("{what}: no answer"))
+                .expect("a running browser")
+                .unwrap();
+            if let Ok(text) = message.to_text() {
+                return serde_json::from_str(text).unwrap();
+            }
         }
     }
 
@@ -139,6 +148,10 @@ impl Browser {
             Some("Runtime.exceptionThrown") => parameters["exceptionDetails"].to_string(),
             Some("Log.entryAdded") if parameters["entry"]["level"] == "error" => {
                 parameters["entry"]["text"].to_string()
+            }
+            Some("Page.loadEventFired") => {
+                self.loads += 1;
+                return;
             }
             _ => return,
         };
@@ -153,6 +166,16 @@ impl Browser {
     /// Opens an address.
     pub async fn open(&mut self, address: &str) {
         self.call("Page.navigate", json!({"url": address})).await;
+    }
+
+    /// Loads the page again, and waits until it is loaded.
+    pub async fn reload(&mut self) {
+        let loads = self.loads;
+        self.call("Page.reload", json!({})).await;
+        while self.loads == loads {
+            let message = self.next("reload").await;
+            self.listen(&message);
+        }
     }
 
     /// Evaluates an expression in the page.

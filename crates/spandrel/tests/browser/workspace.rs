@@ -88,7 +88,7 @@ async fn tabs_are_operated_by_keyboard_and_kept_in_the_address() {
         browser.evaluate("location.hash").await,
         "#/structure/demo/parameters?span=3600"
     );
-    browser.evaluate("location.reload()").await;
+    browser.reload().await;
     browser
         .wait(
             "the same span",
@@ -111,7 +111,7 @@ async fn tabs_are_operated_by_keyboard_and_kept_in_the_address() {
         .wait("a zoom", "location.hash.includes('from=')")
         .await;
     let zoomed = browser.evaluate(text).await;
-    browser.evaluate("location.reload()").await;
+    browser.reload().await;
     browser
         .wait("the same zoom", &format!("{text} === {zoomed}"))
         .await;
@@ -309,7 +309,7 @@ async fn times_are_shown_in_utc_or_in_the_zone_of_the_browser() {
             "/since .* UTC\\+5:45$/.test(document.querySelector('.attention .sentence').textContent)",
         )
         .await;
-    browser.evaluate("location.reload()").await;
+    browser.reload().await;
     browser.wait("the zone after a reload", &local).await;
     browser
         .evaluate("document.getElementById('zone').click()")
