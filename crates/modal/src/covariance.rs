@@ -1,10 +1,8 @@
 //! Output covariances of a stream, accumulated block by block.
 //!
 //! The memory is *B* · (2*i* − 1) · *l* · *r* numbers, whatever the length of the epoch. Blocks tile
-//! the epoch: the product y(n + k) y_ref(n)ᵀ belongs to the block of sample n, also if sample n + k
-//! is in the block after. No product is lost or counted twice, and no window is applied. With the
-//! block of sample n + k instead, the covariances of a free decay would grow with the lag, and its
-//! damping ratio would be negative.
+//! the epoch: the product y(n) y_ref(n − k)ᵀ belongs to the block of sample n, also if sample n − k
+//! is in the block before. No product is lost or counted twice, and no window is applied.
 //!
 //! Source: Peeters & De Roeck (1999), Mech. Syst. Signal Process. 13, 855–878, for the covariances
 //! with references; Döhler & Mevel (2013), Mech. Syst. Signal Process. 38, 346–366, for their
@@ -14,19 +12,16 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
-/// Share of the mean level that is added to the level of a block before the block is divided by it.
-/// It keeps a block without motion from counting as much as a block with motion.
-const FLOOR: f64 = 0.1;
 /// Number of frames that are multiplied at once, so that the sums are read and written less often.
 const TILE: usize = 4;
 
 /// Sums over the samples of one block.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BlockSums {
-    /// Σ y(n + k) y_ref(n)ᵀ: for each reference, lags 1 to 2*i* − 1 with *l* channels each.
+    /// Σ y(n) y_ref(n − k)ᵀ: for each channel, lags 2*i* − 1 to 1 with *r* references each.
     products: Vec<f64>,
-    /// Σ y(n + k), in the same order.
-    later: Vec<f64>,
+    /// Σ y_ref(n − k), in the same order.
+    references: Vec<f64>,
     /// Σ y(n) of each channel.
     outputs: Vec<f64>,
     /// Σ y(n)² of each channel.
@@ -45,10 +40,10 @@ pub(crate) struct CovarianceStream {
     current: BlockSums,
     /// Number of frames in the current block, including the frames that wait.
     in_block: usize,
-    /// The first frame that waits, and all later frames.
+    /// References of the last `lags` frames before the first waiting frame, and of the waiting ones.
     history: Vec<f64>,
-    /// Number of frames that have all their lags and wait for a complete tile.
-    waiting: usize,
+    /// Frames that wait for a complete tile.
+    waiting: Vec<f64>,
 }
 
 impl CovarianceStream {
@@ -64,7 +59,7 @@ impl CovarianceStream {
         let lags = 2 * block_rows - 1;
         let current = BlockSums {
             products: vec![0.0; channels * lags * references.len()],
-            later: vec![0.0; lags * channels],
+            references: vec![0.0; lags * references.len()],
             outputs: vec![0.0; channels],
             squares: vec![0.0; channels],
         };
@@ -77,7 +72,7 @@ impl CovarianceStream {
             current,
             in_block: 0,
             history: Vec::new(),
-            waiting: 0,
+            waiting: Vec::new(),
         }
     }
 
@@ -86,14 +81,14 @@ impl CovarianceStream {
         self.blocks.clear();
         self.clear_current();
         self.history.clear();
-        self.waiting = 0;
+        self.waiting.clear();
     }
 
     fn clear_current(&mut self) {
         let sums = &mut self.current;
         for sums in [
             &mut sums.products,
-            &mut sums.later,
+            &mut sums.references,
             &mut sums.outputs,
             &mut sums.squares,
         ] {
@@ -104,17 +99,21 @@ impl CovarianceStream {
 
     /// Adds a frame. Returns `true` if it completes a block.
     ///
-    /// A frame counts once the 2*i* − 1 frames after it are known, so that every lag has the same
-    /// number of products.
+    /// The first 2*i* − 1 frames only fill the history, so that every lag has the same number of
+    /// products.
     pub(crate) fn push(&mut self, frame: &[f64]) -> bool {
-        self.history.extend_from_slice(frame);
-        if self.history.len() <= (self.lags + self.waiting) * frame.len() {
+        let width = self.lags * self.references.len();
+        if self.history.len() < width {
+            let references = self.references.iter().map(|channel| frame[*channel]);
+            self.history.extend(references);
             return false;
         }
-        self.waiting += 1;
+        self.waiting.extend_from_slice(frame);
+        let references = self.references.iter().map(|channel| frame[*channel]);
+        self.history.extend(references);
         self.in_block += 1;
         let is_complete = self.in_block == self.block_length;
-        if is_complete || self.waiting == TILE {
+        if is_complete || self.waiting.len() == TILE * frame.len() {
             self.multiply(frame.len());
         }
         if is_complete {
@@ -125,42 +124,41 @@ impl CovarianceStream {
 
     /// Adds the products of all waiting frames.
     fn multiply(&mut self, channels: usize) {
-        let width = self.lags * channels;
+        let r = self.references.len();
+        let width = self.lags * r;
         let sums = &mut self.current;
-        let frames: Vec<(&[f64], &[f64])> = (0..self.waiting)
-            .map(|position| {
-                self.history[position * channels..][..channels + width].split_at(channels)
-            })
+        let frames: Vec<(&[f64], &[f64])> = self
+            .waiting
+            .chunks_exact(channels)
+            .enumerate()
+            .map(|(position, frame)| (frame, &self.history[position * r..][..width]))
             .collect();
-        for (&reference, row) in self
-            .references
-            .iter()
-            .zip(sums.products.chunks_exact_mut(width))
-        {
+        for (channel, row) in sums.products.chunks_exact_mut(width).enumerate() {
             if let [(y0, h0), (y1, h1), (y2, h2), (y3, h3)] = frames[..] {
-                let (y0, y1, y2, y3) = (y0[reference], y1[reference], y2[reference], y3[reference]);
+                let (y0, y1, y2, y3) = (y0[channel], y1[channel], y2[channel], y3[channel]);
                 for j in 0..width {
                     row[j] += (y0 * h0[j] + y1 * h1[j]) + (y2 * h2[j] + y3 * h3[j]);
                 }
             } else {
-                for (y, later) in &frames {
-                    for (sum, value) in row.iter_mut().zip(*later) {
-                        *sum += y[reference] * value;
+                for (y, h) in &frames {
+                    for (sum, past) in row.iter_mut().zip(*h) {
+                        *sum += y[channel] * past;
                     }
                 }
             }
         }
-        for (y, later) in &frames {
-            for (sum, value) in sums.later.iter_mut().zip(*later) {
-                *sum += value;
+        for (y, h) in &frames {
+            for (sum, past) in sums.references.iter_mut().zip(*h) {
+                *sum += past;
             }
             for (channel, value) in y.iter().enumerate() {
                 sums.outputs[channel] += value;
                 sums.squares[channel] += value * value;
             }
         }
-        self.history.drain(..self.waiting * channels);
-        self.waiting = 0;
+        let done = frames.len() * r;
+        self.history.drain(..done);
+        self.waiting.clear();
     }
 
     fn complete_block(&mut self) {
@@ -196,24 +194,10 @@ impl CovarianceStream {
                     .sqrt()
             })
             .collect();
-        let level = |sums: &BlockSums| {
-            let levels = outputs.iter().zip(&std).map(|(&c, std)| {
-                let square = (sums.squares[c] - 2.0 * mean[c] * sums.outputs[c])
-                    / self.block_length as f64
-                    + mean[c] * mean[c];
-                square / (std * std)
-            });
-            levels.sum::<f64>() / outputs.len().max(1) as f64
-        };
-        let levels: Vec<f64> = self.blocks.iter().map(level).collect();
-        let weights = weights(&levels);
         let blocks = self
             .blocks
             .iter()
-            .zip(&weights)
-            .map(|(sums, weight)| {
-                self.block_covariances(sums, &mean, &outputs, &references) * *weight
-            })
+            .map(|sums| self.block_covariances(sums, &mean, &outputs, &references))
             .collect();
         EpochCovariances {
             reference_of: references
@@ -239,37 +223,25 @@ impl CovarianceStream {
         outputs: &[usize],
         references: &[usize],
     ) -> DMatrix<f64> {
-        let width = self.lags * mean.len();
+        let r = self.references.len();
         let length = self.block_length as f64;
         DMatrix::from_fn(
             outputs.len(),
             self.lags * references.len(),
             |row, column| {
-                let (channel, lag) = (outputs[row], column / references.len());
+                let (channel, lag) = (outputs[row], column / references.len() + 1);
                 let reference = references[column % references.len()];
-                let at = lag * mean.len() + channel;
-                let of_reference = self.references[reference];
-                (sums.products[reference * width + at]
-                    - sums.later[at] * mean[of_reference]
-                    - mean[channel] * sums.outputs[of_reference]
-                    + length * mean[channel] * mean[of_reference])
+                let at = (self.lags - lag) * r + reference;
+                let reference_mean = mean[self.references[reference]];
+                let product = sums.products[channel * self.lags * r + at];
+                (product
+                    - sums.outputs[channel] * reference_mean
+                    - mean[channel] * sums.references[at]
+                    + length * mean[channel] * reference_mean)
                     / length
             },
         )
     }
-}
-
-/// Returns the weight of each block, 1/(e + 0.1) of its level e in units of the mean level. The weighted
-/// levels have a mean of 1.
-///
-/// A passing vehicle or a blow multiplies the level of a block, and would otherwise outweigh all other
-/// blocks. A factor of the covariances changes no pole and no shape.
-fn weights(levels: &[f64]) -> Vec<f64> {
-    let raw = levels.iter().map(|level| 1.0 / (level + FLOOR));
-    let raw: Vec<f64> = raw.collect();
-    let weighted: f64 = raw.iter().zip(levels).map(|(raw, level)| raw * level).sum();
-    let scale = levels.len() as f64 / weighted.max(f64::MIN_POSITIVE);
-    raw.iter().map(|raw| raw * scale).collect()
 }
 
 /// Output covariances of an epoch, one set per block.
@@ -281,7 +253,7 @@ pub struct EpochCovariances {
     pub(crate) reference_of: Vec<usize>,
     /// Standard deviation of each usable channel, in its unit.
     pub(crate) std: Vec<f64>,
-    /// R_1 … R_{2i−1} of each block side by side, each *l* × *r*, times the weight of the block.
+    /// R_1 … R_{2i−1} of each block side by side, each *l* × *r*.
     blocks: Vec<DMatrix<f64>>,
     lags: usize,
 }
