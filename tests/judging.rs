@@ -301,15 +301,27 @@ async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit()
     let notify = notify(&others, address).await;
     let judge = others.judge().await;
     others.publish(&rows, 0..430, |deck| deck).await;
-    let before = ["learning", "judged"];
-    assert_eq!(others.words("storey-1"), before);
+    let found = ["lasting-loss", "learned-away", "stiffer"];
+    let before = others.words("storey-1");
+    assert_eq!(
+        (before.first(), before.last()),
+        (Some(&"learning"), Some(&"judged"))
+    );
+    assert!(
+        !before.iter().any(|word| found.contains(word)),
+        "{before:?}"
+    );
     judge.kill();
     // The epochs that were open are lost.
     let judge = others.judge().await;
     others.publish(&rows, 430..510, |deck| deck).await;
 
-    let all = [&before[..], &["lasting-loss"]].concat();
-    assert_eq!(others.words("storey-1"), all);
+    let words = others.words("storey-1");
+    let first = words.iter().find(|word| found.contains(word));
+    assert_eq!(
+        (first, words.last()),
+        (Some(&"lasting-loss"), Some(&"lasting-loss"))
+    );
     assert!(others.words("girder").contains(&"no-statement"));
     let last = others.last().clone();
     let change = last.change.unwrap();

@@ -11,9 +11,9 @@
 //! is sound, R(t) − t is a supermartingale. The average run length until R ≥ A is then at least A
 //! days. Source: Shin, Ramdas & Rinaldo (2024), on e-detectors of Shiryaev–Roberts type.
 //!
-//! The regression keeps learning and absorbs part of a step. h(t) is what remains of a unit step in
-//! the residual: h(t) = 1 − x(t)ᵀ c(t), where c(t) is the response of the coefficients, with
-//! c ← c + K h. Source: Willsky & Jones (1976), IEEE Transactions on Automatic Control 21, 108–112.
+//! The regression keeps learning and absorbs part of a step. What remains of a unit step in the
+//! residual is h(t) = 1 − x(t)ᵀ c(t). The response c of the coefficients follows c ← c + K h.
+//! Source: Willsky & Jones (1976), IEEE Transactions on Automatic Control 21, 108–112.
 
 use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
 use crate::model::{Columns, Structure};

@@ -52,9 +52,13 @@
 //! - `course`: one quantity, day by day
 //! - [`Judge`]: the state machine of a structure, without clock, log or I/O
 //!
-//! Notation: y is the mean of ln(value) over a day, and x its regressors. σ is the scale of the error
-//! of a day, and u a deviation with a memory. z is a residual in units of its standard deviation,
-//! predicted from the days before it. R is the evidence of a lasting step.
+//! # Notation
+//!
+//! - y: mean of ln(value) over a day, with the regressors x
+//! - σ: scale of the error of a day
+//! - u: deviation with a memory
+//! - z: residual in units of its standard deviation, predicted from the days before it
+//! - R: evidence of a lasting step
 //!
 //! For rules on single estimates, within seconds, use `spandrel-alert`.
 

@@ -30,9 +30,9 @@ const SPELL_DAYS: f64 = 4.0;
 pub(crate) const OFFSETS: [f64; 2] = [0.003, 0.01];
 pub(crate) const ZONE_SCATTERS: [f64; 2] = [0.002, 0.006];
 /// Candidates of the memory of the deviation (days), and of its standard deviation in
-/// ln(frequency). The smallest one holds for structures that seem perfectly predictable: moisture,
-/// traffic and the identification change frequencies by this much within weeks, and a commissioning
-/// does not see all of it.
+/// ln(frequency). The smallest one holds for structures that seem perfectly predictable. Moisture,
+/// traffic and the identification change frequencies by this much within weeks, and no
+/// commissioning sees all of it.
 pub(crate) const MEMORIES: [f64; 2] = [10.0, 40.0];
 pub(crate) const DEVIATIONS: [f64; 3] = [0.003, 0.006, 0.012];
 /// Share of the variance of a day that its epochs have each for itself.

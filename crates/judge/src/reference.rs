@@ -340,8 +340,10 @@ const YEAR_DAYS: i64 = 330;
 /// Share of the days in their interval.
 const INTERVAL: f64 = 0.95;
 
-/// Returns half of the 95 % interval of a day, in units of its scatter: the quantile that holds 95 %
-/// of the days if they contain all seasons, and otherwise that of the model.
+/// Returns half of the 95 % interval of a day, in units of its scatter.
+///
+/// It is the quantile that holds 95 % of the days if they contain all seasons. Otherwise it is that
+/// of the model.
 ///
 /// Source: the split conformal interval of Lei et al. (2018), Journal of the American Statistical
 /// Association 113, 1094–1111.

@@ -23,6 +23,9 @@ const HOLDS_FOR_INTERVALS: f64 = 2.0;
 /// Maximum number of epochs for which values of a condition are kept. Conditions arrive without
 /// estimates while the monitoring is blind.
 const CONDITIONS_KEPT: usize = 64;
+/// Largest time by which a value may be ahead of the clock of the machine (ns). An epoch of the future
+/// would exclude all epochs before it.
+const MAX_AHEAD_NS: i64 = 60_000_000_000;
 /// Difference between the scales K and °C.
 const KELVIN_OF_0_CELSIUS: f64 = 273.15;
 const NS_PER_S: f64 = 1e9;
@@ -53,6 +56,8 @@ pub(crate) struct ConditionSource {
 pub(crate) enum EpochInput {
     /// Time since a fixed moment. Later inputs are received at this time.
     Now(Duration),
+    /// Time of the machine (ns since 1970-01-01 UTC).
+    Clock(i64),
     Monitoring(MonitoringDisplay),
     /// Whether the samples are measured now. `None` if that is unknown.
     Measured(Option<bool>),
@@ -93,6 +98,7 @@ pub(crate) struct Epochs {
     monitoring: Option<(MonitoringDisplay, Duration)>,
     is_measured: Option<bool>,
     now: Duration,
+    clock_ns: i64,
     newest_ns: Option<i64>,
     refused: BTreeMap<&'static str, u64>,
 }
@@ -143,6 +149,7 @@ impl Epochs {
             monitoring: None,
             is_measured: None,
             now: Duration::ZERO,
+            clock_ns: i64::MAX,
             newest_ns: closed_ns,
             refused: BTreeMap::new(),
             sources,
@@ -163,6 +170,7 @@ impl Epochs {
     pub(crate) fn handle(&mut self, input: EpochInput, closed: &mut Vec<ClosedEpoch>) {
         match input {
             EpochInput::Now(now) => self.now = now,
+            EpochInput::Clock(clock_ns) => self.clock_ns = clock_ns,
             EpochInput::Monitoring(display) => self.monitoring = Some((display, self.now)),
             EpochInput::Measured(is_measured) => self.is_measured = is_measured,
             EpochInput::Condition(display) => {
@@ -187,6 +195,9 @@ impl Epochs {
         let Some(index) = self.sources.parameters.iter().position(is_it) else {
             return Ok(()); // not judged
         };
+        if self.is_ahead(display.time_ns) {
+            return Err("ahead-of-clock-estimates");
+        }
         let number = display.time_ns.div_euclid(self.sources.length_ns);
         if self.closed.is_some_and(|closed| number <= closed) {
             return Err("late-estimates");
@@ -230,7 +241,12 @@ impl Epochs {
         !is_blind && !is_blind_here
     }
 
+    fn is_ahead(&self, time_ns: i64) -> bool {
+        time_ns > self.clock_ns.saturating_add(MAX_AHEAD_NS)
+    }
+
     fn take_condition(&mut self, display: &ConditionDisplay) -> Result<(), &'static str> {
+        let is_ahead = self.is_ahead(display.time_ns);
         let mut sources = self.sources.conditions.iter().zip(&mut self.conditions);
         let Some((source, values)) = sources.find(|(source, _)| source.name == display.name) else {
             return Ok(()); // explains nothing
@@ -242,6 +258,9 @@ impl Epochs {
         let is_plausible = declared.is_none_or(|declared| declared.is_plausible(display.value));
         if !is_plausible || source.kind.convert(value).is_err() {
             return Err("out-of-range-conditions");
+        }
+        if is_ahead {
+            return Err("ahead-of-clock-conditions");
         }
         if values.newest_ns >= Some(display.time_ns) {
             return Err("repeated-conditions");

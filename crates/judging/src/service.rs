@@ -199,7 +199,10 @@ impl JudgeService {
     /// Processes what has arrived since the last call.
     async fn gather(&mut self) -> Result<(), JudgingError> {
         let mut closed = Vec::new();
-        let mut inputs = vec![EpochInput::Now(self.started.elapsed())];
+        let mut inputs = vec![
+            EpochInput::Now(self.started.elapsed()),
+            EpochInput::Clock(self.clock.now_ns()),
+        ];
         for input in self.listener.gather() {
             match input {
                 Input::Monitoring(display) => inputs.push(EpochInput::Monitoring(display)),

@@ -48,6 +48,26 @@ fn an_epoch_is_the_geometric_mean_and_closes_when_the_second_next_begins() {
     assert!((deviation - expected).abs() < 1e-12, "{deviation}");
 }
 
+/// An epoch of the future would exclude the epochs of the present until then, also after a restart.
+#[test]
+fn values_of_the_future_exclude_no_values_of_the_present() {
+    let mut epochs = sighted();
+    handle(&mut epochs, EpochInput::Clock(10 * S));
+    for ahead in [71, 3 * EPOCH, 1_000 * EPOCH] {
+        assert_eq!(take(&mut epochs, ahead, 1.0), []);
+        handle(&mut epochs, EpochInput::Condition(deck(ahead, 20.0)));
+    }
+    for reason in ["ahead-of-clock-estimates", "ahead-of-clock-conditions"] {
+        assert_eq!(refused(&epochs, reason), 3, "{reason}");
+    }
+    take(&mut epochs, 10, 2.0);
+    handle(&mut epochs, EpochInput::Condition(deck(11, 15.0)));
+    handle(&mut epochs, EpochInput::Clock(2 * EPOCH * S));
+    let closed = first(&mut epochs);
+    assert_eq!(closed.epoch.quantities[0], Some(2.0));
+    assert_eq!(closed.epoch.conditions[0], Some(15.0));
+}
+
 #[test]
 fn monitoring_that_is_blind_or_unknown_gives_no_epoch() {
     let mut unknown = Epochs::new(sources(), None);
