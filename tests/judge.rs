@@ -230,6 +230,18 @@ fn a_year_of_ten_quantities_is_judged() {
     std::fs::write(&csv, series).unwrap();
     let output = judge(&toml, &csv, &["--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    let judgements = text(&output.stdout).lines().count();
-    assert_eq!(judgements, 10 * 365);
+    let stdout = text(&output.stdout);
+    assert_eq!(stdout.lines().count(), 10 * 365);
+    // The other bridges have other weather than the thermometer.
+    let at_the_thermometer = |line: &&str| {
+        line.contains("\"quantity\":\"mode-1\"") || line.contains("\"quantity\":\"mode-2\"")
+    };
+    let mut judged = 0;
+    for line in stdout.lines().filter(at_the_thermometer) {
+        judged += 1;
+        for found in ["\"lasting-loss\"", "\"learned-away\""] {
+            assert!(!line.contains(found), "{line}");
+        }
+    }
+    assert_eq!(judged, 2 * 365);
 }

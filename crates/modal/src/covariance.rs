@@ -1,8 +1,10 @@
 //! Output covariances of a stream, accumulated block by block.
 //!
 //! The memory is *B* · (2*i* − 1) · *l* · *r* numbers, whatever the length of the epoch. Blocks tile
-//! the epoch: the product y(n) y_ref(n − k)ᵀ belongs to the block of sample n, also if sample n − k
-//! is in the block before. No product is lost or counted twice, and no window is applied.
+//! the epoch: the product y(n + k) y_ref(n)ᵀ belongs to the block of sample n, also if sample n + k
+//! is in the block after. No product is lost or counted twice, and no window is applied. With the
+//! block of sample n + k instead, the covariances of a free decay would grow with the lag, and its
+//! damping ratio would be negative.
 //!
 //! Source: Peeters & De Roeck (1999), Mech. Syst. Signal Process. 13, 855–878, for the covariances
 //! with references; Döhler & Mevel (2013), Mech. Syst. Signal Process. 38, 346–366, for their
@@ -18,10 +20,10 @@ const TILE: usize = 4;
 /// Sums over the samples of one block.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BlockSums {
-    /// Σ y(n) y_ref(n − k)ᵀ: for each channel, lags 2*i* − 1 to 1 with *r* references each.
+    /// Σ y(n + k) y_ref(n)ᵀ: for each reference, lags 1 to 2*i* − 1 with *l* channels each.
     products: Vec<f64>,
-    /// Σ y_ref(n − k), in the same order.
-    references: Vec<f64>,
+    /// Σ y(n + k), in the same order.
+    later: Vec<f64>,
     /// Σ y(n) of each channel.
     outputs: Vec<f64>,
     /// Σ y(n)² of each channel.
@@ -40,10 +42,10 @@ pub(crate) struct CovarianceStream {
     current: BlockSums,
     /// Number of frames in the current block, including the frames that wait.
     in_block: usize,
-    /// References of the last `lags` frames before the first waiting frame, and of the waiting ones.
+    /// The first frame that waits, and all later frames.
     history: Vec<f64>,
-    /// Frames that wait for a complete tile.
-    waiting: Vec<f64>,
+    /// Number of frames that have all their lags and wait for a complete tile.
+    waiting: usize,
 }
 
 impl CovarianceStream {
@@ -59,7 +61,7 @@ impl CovarianceStream {
         let lags = 2 * block_rows - 1;
         let current = BlockSums {
             products: vec![0.0; channels * lags * references.len()],
-            references: vec![0.0; lags * references.len()],
+            later: vec![0.0; lags * channels],
             outputs: vec![0.0; channels],
             squares: vec![0.0; channels],
         };
@@ -72,7 +74,7 @@ impl CovarianceStream {
             current,
             in_block: 0,
             history: Vec::new(),
-            waiting: Vec::new(),
+            waiting: 0,
         }
     }
 
@@ -81,14 +83,14 @@ impl CovarianceStream {
         self.blocks.clear();
         self.clear_current();
         self.history.clear();
-        self.waiting.clear();
+        self.waiting = 0;
     }
 
     fn clear_current(&mut self) {
         let sums = &mut self.current;
         for sums in [
             &mut sums.products,
-            &mut sums.references,
+            &mut sums.later,
             &mut sums.outputs,
             &mut sums.squares,
         ] {
@@ -99,21 +101,17 @@ impl CovarianceStream {
 
     /// Adds a frame. Returns `true` if it completes a block.
     ///
-    /// The first 2*i* − 1 frames only fill the history, so that every lag has the same number of
-    /// products.
+    /// A frame counts once the 2*i* − 1 frames after it are known, so that every lag has the same
+    /// number of products.
     pub(crate) fn push(&mut self, frame: &[f64]) -> bool {
-        let width = self.lags * self.references.len();
-        if self.history.len() < width {
-            let references = self.references.iter().map(|channel| frame[*channel]);
-            self.history.extend(references);
+        self.history.extend_from_slice(frame);
+        if self.history.len() <= (self.lags + self.waiting) * frame.len() {
             return false;
         }
-        self.waiting.extend_from_slice(frame);
-        let references = self.references.iter().map(|channel| frame[*channel]);
-        self.history.extend(references);
+        self.waiting += 1;
         self.in_block += 1;
         let is_complete = self.in_block == self.block_length;
-        if is_complete || self.waiting.len() == TILE * frame.len() {
+        if is_complete || self.waiting == TILE {
             self.multiply(frame.len());
         }
         if is_complete {
@@ -124,41 +122,42 @@ impl CovarianceStream {
 
     /// Adds the products of all waiting frames.
     fn multiply(&mut self, channels: usize) {
-        let r = self.references.len();
-        let width = self.lags * r;
+        let width = self.lags * channels;
         let sums = &mut self.current;
-        let frames: Vec<(&[f64], &[f64])> = self
-            .waiting
-            .chunks_exact(channels)
-            .enumerate()
-            .map(|(position, frame)| (frame, &self.history[position * r..][..width]))
+        let frames: Vec<(&[f64], &[f64])> = (0..self.waiting)
+            .map(|position| {
+                self.history[position * channels..][..channels + width].split_at(channels)
+            })
             .collect();
-        for (channel, row) in sums.products.chunks_exact_mut(width).enumerate() {
+        for (&reference, row) in self
+            .references
+            .iter()
+            .zip(sums.products.chunks_exact_mut(width))
+        {
             if let [(y0, h0), (y1, h1), (y2, h2), (y3, h3)] = frames[..] {
-                let (y0, y1, y2, y3) = (y0[channel], y1[channel], y2[channel], y3[channel]);
+                let (y0, y1, y2, y3) = (y0[reference], y1[reference], y2[reference], y3[reference]);
                 for j in 0..width {
                     row[j] += (y0 * h0[j] + y1 * h1[j]) + (y2 * h2[j] + y3 * h3[j]);
                 }
             } else {
-                for (y, h) in &frames {
-                    for (sum, past) in row.iter_mut().zip(*h) {
-                        *sum += y[channel] * past;
+                for (y, later) in &frames {
+                    for (sum, value) in row.iter_mut().zip(*later) {
+                        *sum += y[reference] * value;
                     }
                 }
             }
         }
-        for (y, h) in &frames {
-            for (sum, past) in sums.references.iter_mut().zip(*h) {
-                *sum += past;
+        for (y, later) in &frames {
+            for (sum, value) in sums.later.iter_mut().zip(*later) {
+                *sum += value;
             }
             for (channel, value) in y.iter().enumerate() {
                 sums.outputs[channel] += value;
                 sums.squares[channel] += value * value;
             }
         }
-        let done = frames.len() * r;
-        self.history.drain(..done);
-        self.waiting.clear();
+        self.history.drain(..self.waiting * channels);
+        self.waiting = 0;
     }
 
     fn complete_block(&mut self) {
@@ -223,21 +222,20 @@ impl CovarianceStream {
         outputs: &[usize],
         references: &[usize],
     ) -> DMatrix<f64> {
-        let r = self.references.len();
+        let width = self.lags * mean.len();
         let length = self.block_length as f64;
         DMatrix::from_fn(
             outputs.len(),
             self.lags * references.len(),
             |row, column| {
-                let (channel, lag) = (outputs[row], column / references.len() + 1);
+                let (channel, lag) = (outputs[row], column / references.len());
                 let reference = references[column % references.len()];
-                let at = (self.lags - lag) * r + reference;
-                let reference_mean = mean[self.references[reference]];
-                let product = sums.products[channel * self.lags * r + at];
-                (product
-                    - sums.outputs[channel] * reference_mean
-                    - mean[channel] * sums.references[at]
-                    + length * mean[channel] * reference_mean)
+                let at = lag * mean.len() + channel;
+                let of_reference = self.references[reference];
+                (sums.products[reference * width + at]
+                    - sums.later[at] * mean[of_reference]
+                    - mean[channel] * sums.outputs[of_reference]
+                    + length * mean[channel] * mean[of_reference])
                     / length
             },
         )

@@ -21,6 +21,8 @@ pub const MACHINE_DAMPING: f64 = 0.001;
 /// Largest standard deviation of a frequency, relative to it. A pole that is known less precisely
 /// says nothing.
 const LARGEST_DEVIATION: f64 = 0.05;
+/// Number of poles of a cluster whose deviations are compared.
+const COMPARED: usize = 5;
 /// Spectral kurtosis below which a line of the spectrum is a sine: halfway from 0 (random motion)
 /// to −1 (a sine).
 pub const MACHINE_KURTOSIS: f64 = -0.5;
@@ -102,9 +104,7 @@ pub fn identify(epoch: &Epoch) -> Result<Identified, ModalError> {
     let modes = clusters(&poles)
         .iter()
         .filter_map(|cluster| {
-            let pole = representative(cluster);
-            let model = models.iter().find(|model| model.order == pole.order)?;
-            let changes = perturbations.changes(model, pole)?;
+            let (pole, changes) = representative(cluster, &models, &perturbations)?;
             mode(
                 epoch,
                 pole,
@@ -140,11 +140,31 @@ fn candidates(realisation: &Realisation, model: &Model, band_hz: (f64, f64)) -> 
     poles
 }
 
-/// Returns the pole with the median frequency of a cluster.
-fn representative(cluster: &[Pole]) -> &Pole {
+/// Returns the pole that represents a cluster, with its changes.
+///
+/// At some orders, a spurious pole next to the mode multiplies the standard deviation. Of the poles
+/// in the middle half of the frequencies, [`COMPARED`] ones are compared, evenly spread over their
+/// orders. The one with the smallest standard deviation of the damping ratio represents the cluster.
+fn representative<'p>(
+    cluster: &'p [Pole],
+    models: &[Model],
+    perturbations: &Perturbations<'_>,
+) -> Option<(&'p Pole, Vec<Change>)> {
     let mut sorted: Vec<&Pole> = cluster.iter().collect();
     sorted.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
-    sorted[sorted.len() / 2]
+    let quarter = sorted.len() / 4;
+    let middle = &mut sorted[quarter..cluster.len() - quarter];
+    middle.sort_by_key(|pole| pole.order);
+    let compared = COMPARED.min(middle.len());
+    let candidates = (0..compared).filter_map(|k| {
+        let pole = middle[(2 * k + 1) * middle.len() / (2 * compared)];
+        let model = models.iter().find(|model| model.order == pole.order)?;
+        let changes = perturbations.changes(model, pole)?;
+        let deviation = std(changes.iter().map(|change| change.damping));
+        Some((deviation, pole, changes))
+    });
+    let best = candidates.min_by(|(a, ..), (b, ..)| a.total_cmp(b));
+    best.map(|(_, pole, changes)| (pole, changes))
 }
 
 /// Returns the mode of a pole, or `None` if it is neither a mode nor a machine.

@@ -10,10 +10,14 @@
 mod chain;
 
 use chain::Chain;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use spandrel_modal::{
     BandLadder, Identified, ModalSettings, ModalStream, Mode, Source, identify,
     smallest_uncertainty,
 };
+use std::f64::consts::TAU;
 
 fn single(settings: &ModalSettings, frames: &[Vec<f64>]) -> Identified {
     let mut stream = ModalStream::new(settings).unwrap();
@@ -133,6 +137,47 @@ fn ladder_finds_modes_far_below_the_sampling_rate() {
             (mode.frequency_hz - truth).abs() < 4.0 * mode.frequency_std_hz,
             "{truth} Hz: {mode:?}"
         );
+    }
+}
+
+/// Two modes after one blow at the start of the epoch, with a thousandth of the first amplitude as
+/// noise.
+#[test]
+fn modes_of_a_free_decay_are_found() {
+    const RATE_HZ: f64 = 200.0;
+    const DAMPING: f64 = 0.01;
+    const SHAPES: [(f64, [f64; 3]); 2] = [(15.0, [0.4, 0.8, 1.0]), (42.0, [1.0, 0.3, -0.6])];
+    let settings = ModalSettings {
+        epoch_s: 16.0,
+        ..ModalSettings::new(3, RATE_HZ)
+    };
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+    let frames: Vec<Vec<f64>> = (0..20 * RATE_HZ as usize)
+        .map(|sample| {
+            let time_s = sample as f64 / RATE_HZ;
+            let motion = SHAPES.map(|(frequency_hz, shape)| {
+                let omega = TAU * frequency_hz;
+                (
+                    shape,
+                    (-DAMPING * omega * time_s).exp() * (omega * time_s).sin(),
+                )
+            });
+            (0..3)
+                .map(|at| {
+                    motion.iter().map(|(shape, q)| shape[at] * q).sum::<f64>() + 0.001 * normal()
+                })
+                .collect()
+        })
+        .collect();
+    let found = single(&settings, &frames);
+    for (frequency_hz, _) in SHAPES {
+        let mode = nearest(&found.modes, frequency_hz);
+        assert!(
+            (mode.frequency_hz / frequency_hz - 1.0).abs() < 0.002,
+            "{mode:?}"
+        );
+        assert!((mode.damping / DAMPING - 1.0).abs() < 0.2, "{mode:?}");
     }
 }
 

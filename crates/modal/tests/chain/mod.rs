@@ -4,6 +4,10 @@
 //! with the method under test. The forces are white. Each modal oscillator is
 //! integrated by the exact solution for a force that is constant over a step.
 
+#[path = "../oscillator/mod.rs"]
+mod oscillator;
+
+use oscillator::exact_step;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -98,20 +102,6 @@ impl Chain {
         }
         frames
     }
-}
-
-/// Returns displacement and velocity after a step with a constant force `p` per unit mass.
-fn exact_step([q, v]: [f64; 2], p: f64, omega: f64, damping: f64, step: f64) -> [f64; 2] {
-    let rest = p / (omega * omega);
-    let (a, damped) = (damping * omega, omega * (1.0 - damping * damping).sqrt());
-    let (sin, cos) = (damped * step).sin_cos();
-    let decay = (-a * step).exp();
-    let d = q - rest;
-    let b = (v + a * d) / damped;
-    [
-        rest + decay * (d * cos + b * sin),
-        decay * (v * cos - (a * v + omega * omega * d) / damped * sin),
-    ]
 }
 
 /// Returns eigenvalues and eigenvectors of a symmetric matrix by cyclic Jacobi rotations.

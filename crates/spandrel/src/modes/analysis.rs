@@ -11,6 +11,9 @@ use spandrel_modal::{
 /// Duration without any sample after which a new epoch starts (s). Shorter gaps repeat the last
 /// values.
 const LONGEST_GAP_S: f64 = 1.0;
+/// Least ratio of the damping ratio of a listed mode to its standard deviation. In simulations, the
+/// modes below it were mostly false.
+const CERTAIN: f64 = 2.0;
 
 /// What the user has chosen.
 #[derive(Debug, Clone, Default)]
@@ -98,8 +101,9 @@ pub fn analyse(frames: &Frames, choice: &Choice) -> Result<Analysis, AppError> {
             epoch_s: settings.epoch_s,
         });
     }
-    let is_certain =
-        |mode: &ModeSummary| mode.source == Source::Machine || mode.damping > mode.damping_std;
+    let is_certain = |mode: &ModeSummary| {
+        mode.source == Source::Machine || mode.damping > CERTAIN * mode.damping_std
+    };
     let (modes, uncertain): (Vec<_>, Vec<_>) = record.summary().into_iter().partition(is_certain);
     Ok(Analysis {
         bands: ladder.settings().cloned().collect(),

@@ -75,7 +75,7 @@ pub fn text(frames: &Frames, analysis: &Analysis) -> String {
         let modes = counted(analysis.uncertain, "mode", "modes");
         let _ = writeln!(
             text,
-            "not listed: {modes} whose damping ratio is smaller than its standard deviation"
+            "not listed: {modes} whose damping ratio is less than twice its standard deviation"
         );
     }
     text
