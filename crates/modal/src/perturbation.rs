@@ -10,7 +10,7 @@
 
 use crate::covariance::EpochCovariances;
 use crate::realisation::{Model, Pole, Realisation};
-use nalgebra::{Complex, DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DMatrixView, DVector};
 use std::f64::consts::PI;
 
 type Vector = DVector<Complex<f64>>;
@@ -95,10 +95,10 @@ struct Sensitivity<'r> {
     position: usize,
     /// ψ.
     vector: Vector,
-    /// e = (O_down − μ O_up) ψ, the residual of the least squares, in the rows of O_up.
-    residual: Vector,
     /// U_restᵀ e.
     residual_in_rest: Vector,
+    /// (I − U_n U_nᵀ) e.
+    residual_outside: Vector,
     /// Ψ⁻¹ (O_upᵀ O_up)⁻¹.
     left: DMatrix<Complex<f64>>,
     /// σ_i / (σ_j (σ_j² − σ_i²)) for i > n, j ≤ n.
@@ -111,10 +111,11 @@ impl<'r> Sensitivity<'r> {
         let svd = &realisation.svd;
         let (l, rows) = (realisation.outputs, svd.u.nrows());
         let vector: Vector = model.vectors.column(pole.position).into_owned();
-        let u_psi = real_times(&svd.u.columns(0, n).into_owned(), &vector);
+        let u_psi = real_times(svd.u.columns(0, n), &vector);
         let up = u_psi.rows(0, rows - l);
         let down = u_psi.rows(l, rows - l);
         let mu = model.values[pole.position];
+        // e = (O_down − μ O_up) ψ, the residual of the least squares, in the rows of O_up.
         let mut residual = Vector::zeros(rows);
         residual.rows_mut(0, rows - l).copy_from(&(down - up * mu));
         let gram = realisation.gram_factor(n)?;
@@ -126,14 +127,16 @@ impl<'r> Sensitivity<'r> {
             let (si, sj) = (svd.s[n + i], svd.s[j]);
             si / (sj * (sj * sj - si * si)) // (8)
         });
-        let u_rest = svd.u.columns(n, rest).into_owned();
+        let u_rest = svd.u.columns(n, rest);
+        let u_n = svd.u.columns(0, n);
+        let within = real_times(u_n, &real_transposed_times(u_n, &residual));
         Some(Self {
-            residual_in_rest: real_transposed_times(&u_rest, &residual),
+            residual_outside: &residual - within,
+            residual_in_rest: real_transposed_times(u_rest, &residual),
             realisation,
             model,
             position: pole.position,
             vector,
-            residual,
             left,
             weights,
         })
@@ -144,17 +147,13 @@ impl<'r> Sensitivity<'r> {
         let n = self.model.order;
         let (l, rows) = (self.realisation.outputs, self.realisation.svd.u.nrows());
         let mu = self.model.values[self.position];
-        let d = self.observability_change_times_vector(block); // ΔO ψ
-        let t = self.observability_change_transposed_times_residual(block); // ΔO_upᵀ e
-        let u_up = self
-            .realisation
-            .svd
-            .u
-            .view((0, 0), (rows - l, n))
-            .into_owned();
+        let k = self.correction(block);
+        let d = self.observability_change_times_vector(block, &k); // ΔO ψ
+        let t = self.observability_change_transposed_times_residual(block, &k); // ΔO_upᵀ e
+        let u_up = self.realisation.svd.u.view((0, 0), (rows - l, n));
         let moved = d.rows(l, rows - l) - d.rows(0, rows - l) * mu;
         // χ* ΔA ψ = χ* (O_upᵀ O_up)⁻¹ (O_upᵀ (ΔO_down − μ ΔO_up) ψ + ΔO_upᵀ e) (9)
-        let turned = &self.left * (real_transposed_times(&u_up, &moved) + t);
+        let turned = &self.left * (real_transposed_times(u_up, &moved) + t);
         let delta_mu = turned[self.position]; // χ_j* ψ_j = 1 (10)
         let mut delta_psi = Vector::zeros(n);
         for k in 0..n {
@@ -163,8 +162,8 @@ impl<'r> Sensitivity<'r> {
                 delta_psi += self.model.vectors.column(k) * (turned[k] / gap); // (11)
             }
         }
-        let c = self.realisation.svd.u.view((0, 0), (l, n)).into_owned();
-        let shape = d.rows(0, l) + real_times(&c, &delta_psi); // Δφ = ΔC ψ + C Δψ (11)
+        let c = self.realisation.svd.u.view((0, 0), (l, n));
+        let shape = d.rows(0, l) + real_times(c, &delta_psi); // Δφ = ΔC ψ + C Δψ (11)
         let lambda = mu.ln() * self.realisation.rate_hz;
         let delta_lambda = delta_mu / mu * self.realisation.rate_hz;
         let omega = lambda.norm();
@@ -178,25 +177,29 @@ impl<'r> Sensitivity<'r> {
     }
 
     /// Returns ΔO ψ = (I − U_n U_nᵀ) Z ψ + U_rest K ψ (8).
-    fn observability_change_times_vector(&self, block: &BlockPerturbation) -> Vector {
+    fn observability_change_times_vector(
+        &self,
+        block: &BlockPerturbation,
+        k: &DMatrix<f64>,
+    ) -> Vector {
         let n = self.model.order;
         let u = &self.realisation.svd.u;
-        let u_n = u.columns(0, n).into_owned();
-        let z_psi = real_times(&block.z.columns(0, n).into_owned(), &self.vector);
-        let within = real_times(&u_n, &real_transposed_times(&u_n, &z_psi));
-        let k_psi = real_times(&self.correction(block), &self.vector);
-        let rest = u.columns(n, u.ncols() - n).into_owned();
-        z_psi - within + real_times(&rest, &k_psi)
+        let (u_n, u_rest) = u.columns_range_pair(..n, n..);
+        let z_psi = real_times(block.z.columns(0, n), &self.vector);
+        let within = real_times(u_n, &real_transposed_times(u_n, &z_psi));
+        let k_psi = real_times(k.columns(0, n), &self.vector);
+        z_psi - within + real_times(u_rest, &k_psi)
     }
 
     /// Returns ΔOᵀ e, whose rows below O_up do not count because e is zero there.
-    fn observability_change_transposed_times_residual(&self, block: &BlockPerturbation) -> Vector {
+    fn observability_change_transposed_times_residual(
+        &self,
+        block: &BlockPerturbation,
+        k: &DMatrix<f64>,
+    ) -> Vector {
         let n = self.model.order;
-        let u_n = self.realisation.svd.u.columns(0, n).into_owned();
-        let outside =
-            &self.residual - real_times(&u_n, &real_transposed_times(&u_n, &self.residual));
-        real_transposed_times(&block.z.columns(0, n).into_owned(), &outside)
-            + real_transposed_times(&self.correction(block), &self.residual_in_rest)
+        real_transposed_times(block.z.columns(0, n), &self.residual_outside)
+            + real_transposed_times(k.columns(0, n), &self.residual_in_rest)
     }
 
     /// Returns K_ij = σ_i (σ_j Q_ij + σ_i P_ij) / (σ_j (σ_j² − σ_i²)) (8).
@@ -207,16 +210,26 @@ impl<'r> Sensitivity<'r> {
     }
 }
 
-fn real_times(matrix: &DMatrix<f64>, vector: &Vector) -> Vector {
-    let (re, im) = (vector.map(|v| v.re), vector.map(|v| v.im));
-    (matrix * re).zip_map(&(matrix * im), Complex::new)
+fn real_times(matrix: DMatrixView<'_, f64>, vector: &Vector) -> Vector {
+    complex(&(matrix * parts(vector)))
 }
 
-fn real_transposed_times(matrix: &DMatrix<f64>, vector: &Vector) -> Vector {
-    let (re, im) = (vector.map(|v| v.re), vector.map(|v| v.im));
-    matrix
-        .tr_mul(&re)
-        .zip_map(&matrix.tr_mul(&im), Complex::new)
+fn real_transposed_times(matrix: DMatrixView<'_, f64>, vector: &Vector) -> Vector {
+    complex(&matrix.tr_mul(&parts(vector)))
+}
+
+/// Returns the real and the imaginary part as two columns, so that one product serves both.
+fn parts(vector: &Vector) -> DMatrix<f64> {
+    DMatrix::from_fn(vector.len(), 2, |row, column| match column {
+        0 => vector[row].re,
+        _ => vector[row].im,
+    })
+}
+
+fn complex(parts: &DMatrix<f64>) -> Vector {
+    Vector::from_fn(parts.nrows(), |row, _| {
+        Complex::new(parts[(row, 0)], parts[(row, 1)])
+    })
 }
 
 #[cfg(test)]
