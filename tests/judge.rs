@@ -99,6 +99,45 @@ fn the_example_finds_its_loss_and_nothing_before() {
 }
 
 #[test]
+fn the_course_has_a_row_per_quantity_and_day_with_the_numbers_of_the_judgements() {
+    let folder = tempfile::tempdir().unwrap();
+    let days = folder.path().join("days.csv");
+    let output = judge(
+        &example("footbridge.toml"),
+        &example("footbridge.csv"),
+        &["--json", "--course", days.to_str().unwrap()],
+    );
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let course = std::fs::read_to_string(&days).unwrap();
+    let mut rows = course.lines();
+    let head: Vec<&str> = rows.next().unwrap().split(',').collect();
+    let column = |name: &str| head.iter().position(|head| *head == name).unwrap();
+    let rows: Vec<Vec<&str>> = rows.map(|row| row.split(',').collect()).collect();
+    assert_eq!(rows.len(), 2 * DAYS as usize);
+    let quantities: Vec<&str> = rows.iter().map(|row| row[column("quantity")]).collect();
+    assert!(quantities[..DAYS as usize].iter().all(|of| *of == "first-bending"));
+    let stdout = text(&output.stdout);
+    let lines = stdout
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let mut expected = 0;
+    for line in lines {
+        let is_it = |row: &&Vec<&str>| {
+            row[column("date")] == line["date"] && row[column("quantity")] == line["quantity"]
+        };
+        let row = rows.iter().find(is_it).unwrap();
+        assert_eq!(row[column("state")], line["state"]);
+        let number = |name: &str| row[column(name)].parse::<f64>().ok();
+        assert_eq!(number("measured"), line["means"]["value"].as_f64());
+        assert_eq!(number("expected"), line["expectation"]["expected"].as_f64());
+        assert_eq!(number("condition/deck"), line["means"]["conditions"][0].as_f64());
+        assert_eq!(number("loss"), line["finding"]["loss"].as_f64());
+        expected += i32::from(number("expected").is_some());
+    }
+    assert!(expected > 200, "{expected}");
+}
+
+#[test]
 fn the_report_states_promise_achievement_and_what_would_be_missed() {
     let output = judge(
         &example("footbridge.toml"),

@@ -10,7 +10,7 @@ mod support;
 
 use serde_json::Value;
 use spandrel_bus::{
-    Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementDisplay, JudgementState,
+    Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay, JudgementState,
     LiveToken, MonitoringDisplay, MonitoringState, Name, Pace, ParameterDisplay, Service, Status,
     Subscription,
 };
@@ -181,6 +181,33 @@ impl Others {
             }
         }
         words
+    }
+
+    /// Returns the answer of the service to a query for the course of the storey.
+    async fn course(&self, query: &str) -> JudgementCourse {
+        let key = self.site.keys().judgement_course(&name("storey-1"));
+        let answers = self.bus.ask(&format!("{key}{query}"), DEADLINE).await;
+        let [(of, course)] = <[(String, JudgementCourse); 1]>::try_from(answers.unwrap()).unwrap();
+        assert_eq!(of, key);
+        course
+    }
+
+    /// Returns the course by `spandrel judge --series` of the storey, without the last day, which is
+    /// not over.
+    fn offline_course(&self) -> String {
+        let series = find(&self.state_folder(), "judge-epochs.csv");
+        let days = self.site.folder().join("days.csv");
+        let mut command = support::spandrel("judge");
+        command.arg(self.site.structure_file()).arg("--series");
+        command.arg(series).arg("--course").arg(&days);
+        Process::start(&mut command).wait().expect_code(0);
+        let text = std::fs::read_to_string(days).unwrap();
+        let mut lines: Vec<&str> = text
+            .lines()
+            .filter(|line| line.starts_with("date,") || line.contains(",storey-1,"))
+            .collect();
+        lines.pop();
+        lines.join("\n") + "\n"
     }
 
     fn last(&self) -> &JudgementDisplay {
@@ -393,6 +420,28 @@ async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit()
         assert_eq!(found, expected, "{key:?}");
     }
 
+    // The course has every day, also the days that were over at once and were not published.
+    let course = others.course("").await;
+    assert_eq!(course.csv(), others.offline_course());
+    let days: Vec<i64> = course
+        .rows
+        .iter()
+        .map(|row| row.day_ns / (86_400 * SECOND_NS) - FIRST_DAY)
+        .collect();
+    assert_eq!(days, (0..509).collect::<Vec<_>>());
+    let published = others.judged.keys().filter(|(_, of)| of == "storey-1");
+    assert!(published.count() < days.len());
+    let reference = course.reference.as_ref().unwrap();
+    assert_eq!(reference.promised_per_year, 0.05);
+    let span = others
+        .course("?from=2025-10-01;to=2025-10-31;points=10")
+        .await;
+    assert_eq!(span.rows, course.rows[478..488]);
+    assert_eq!(span.kept_from_ns, course.kept_from_ns);
+    judge.kill();
+    let judge = others.judge().await;
+    assert_eq!(others.course("").await.rows, course.rows);
+
     // One event, and one notice although the state is published again and again.
     let events: Vec<Event> = others
         .events
@@ -486,5 +535,5 @@ fn judge_without_series_needs_a_judged_structure() {
     Process::start(command.arg("--report"))
         .wait()
         .expect_code(2)
-        .expect_told(&["--report and --json need --series"]);
+        .expect_told(&["--report, --json and --course need --series"]);
 }

@@ -182,6 +182,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
                 ],
             ),
             each(Right::Put, &[K::Judgement]),
+            each(Right::Answer, &[K::JudgementCourse]),
             of_service(Service::Judge),
         ]
         .concat(),
@@ -231,6 +232,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
                     K::Description,
                     K::History,
                     K::HistoryLog,
+                    K::JudgementCourse,
                 ],
             ),
             watch_all(),
@@ -299,6 +301,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::SensorHealth
         | K::Condition
         | K::Judgement
+        | K::JudgementCourse
         | K::Event
         | K::Alert
         | K::Acknowledge

@@ -224,6 +224,19 @@ impl Keys {
         self.all(KeyFamily::Judgement)
     }
 
+    /// Returns the key to query the course of the judgement of one quantity. The service judge
+    /// replies.
+    #[must_use]
+    pub fn judgement_course(&self, quantity: &Name) -> String {
+        self.key(KeyFamily::JudgementCourse, quantity)
+    }
+
+    /// Returns the key expression of the courses of all quantities.
+    #[must_use]
+    pub fn all_judgement_courses(&self) -> String {
+        self.all(KeyFamily::JudgementCourse)
+    }
+
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
@@ -473,6 +486,8 @@ pub enum KeyFamily {
     Condition,
     /// [`Keys::judgement`], one per quantity
     Judgement,
+    /// [`Keys::judgement_course`], one per quantity
+    JudgementCourse,
     /// [`Keys::event`]
     Event,
     /// [`Keys::alert`], one per parameter
@@ -512,7 +527,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 30] = [
+    const WITHOUT_SERVICE: [Self; 31] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -532,6 +547,7 @@ impl KeyFamily {
         Self::SensorHealth,
         Self::Condition,
         Self::Judgement,
+        Self::JudgementCourse,
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
@@ -569,6 +585,7 @@ impl KeyFamily {
             Self::SensorHealth => "sensor/{of}/health",
             Self::Condition => "condition/{of}",
             Self::Judgement => "judgement/{of}",
+            Self::JudgementCourse => "judgement/{of}/@course",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
@@ -746,6 +763,14 @@ mod tests {
             (keys.all_conditions(), "spandrel/tower/condition/*"),
             (keys.judgement(&n), "spandrel/tower/judgement/storey-1"),
             (keys.all_judgements(), "spandrel/tower/judgement/*"),
+            (
+                keys.judgement_course(&n),
+                "spandrel/tower/judgement/storey-1/@course",
+            ),
+            (
+                keys.all_judgement_courses(),
+                "spandrel/tower/judgement/*/@course",
+            ),
             (keys.event(), "spandrel/tower/event"),
             (keys.all_alerts(), "spandrel/tower/alert/*"),
             (

@@ -90,10 +90,10 @@ pub use live::{LiveToken, LiveWatch};
 pub use message::{
     Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChangeKind, ChannelFitDisplay,
     ChannelHealthDisplay, ChannelMonitoring, ChannelState, ClassCalibration, ClassPlausibility,
-    ConditionDisplay, CredibleInterval, DayExpectation, DecodeError, Description, EncodeError,
+    ConditionDisplay, CourseCondition, CourseDelay, CourseReference, CourseRow, CredibleInterval, DayExpectation, DecodeError, Description, EncodeError,
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Excluded, FaultKind, FeedbackMessage,
     FitDisplay, FitReason, FitReasons, FitVerdict, Format, FrameBlock, Header, HistoryLog,
-    HistoryRows, HistorySpan, InstrumentState, InstrumentStatus, JudgementDisplay, JudgementState,
+    HistoryRows, HistorySpan, InstrumentState, InstrumentStatus, JudgementCourse, JudgementDisplay, JudgementState,
     LastingChange, Load, LocalDensity, LocalMessage, LossDisplay, MAX_CHANNELS, MAX_ITEMS,
     MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Maintenance, Malformed, MaskedSpan,
     Message, ModelClassDisplay, MonitoringDisplay, MonitoringState, MotionNumbers, NodeClock,

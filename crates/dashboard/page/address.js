@@ -11,9 +11,15 @@ export function place(structure, parameter, seconds) {
   return address(structure, parameter ? "parameters" : null, query);
 }
 
+/** Returns the address of the year of a judged quantity. */
+export function judged(structure, quantity) {
+  return address(structure, "lasting", new URLSearchParams({ quantity }));
+}
+
 /** Returns the address of what a structure's page shows now. */
 export function addressOf({ structure, tab, parameter, span, isOwnScale }) {
   const query = new URLSearchParams();
+  if (parameter && tab === "lasting") query.set("quantity", parameter);
   if (parameter && tab === "parameters") query.set("parameter", parameter);
   if (!span.isLive) {
     query.set("from", span.from_s.toFixed(DECIMALS));

@@ -4,7 +4,7 @@ import { h, keyed, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, NOT_STIFFNESS, NO_RULE, judgementWords, place, probability, ratio, stateOf, step } from "./words.js";
+import { COLUMNS, NOT_STIFFNESS, NO_RULE, judged, judgementWords, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -79,10 +79,13 @@ export class NowTab {
 
   #showJudgements({ judgements }) {
     this.noJudgement.hidden = judgements.length > 0;
-    keyed(this.judgements, judgements, (judgement) => judgement.quantity, () => ({ element: h("li") }), (part, judgement) => {
+    keyed(this.judgements, judgements, (judgement) => judgement.quantity, (judgement) => {
+      const text = h("span");
+      return { element: h("li", {}, text, " ", h("a", { href: judged(this.page.name, judgement.quantity), "aria-label": `Show the year of ${judgement.quantity}` }, "Show the year")), text };
+    }, (part, judgement) => {
       const { level, text } = judgementWords(judgement);
       part.element.dataset.level = level;
-      setText(part.element, text);
+      setText(part.text, text);
     });
   }
 }

@@ -3,6 +3,7 @@
 
 import { h, s, setText } from "./dom.js";
 import { flags } from "./marks.js";
+import { shapeKey } from "./shapes.js";
 import { clock, isLocal, isWithoutDate, moment, recordTime, zone } from "./words.js";
 
 /* global uPlot */
@@ -51,16 +52,23 @@ export class Plot {
    * - `marks()`: returns lines { y, text, colour } or { x, text, colour }, the most important
    *   labels first
    * - `range`: range of the y axis, if it is fixed
+   * - `legend`: list of { name, colour } with a `dash` of a line, or a `shape` of points
+   * - `paint(uPlot)`: draws what uPlot does not draw, such as points of several shapes
+   * - `at(x)`: returns the text of a time, if it is not a moment
+   * - `across()`: returns the title of the x axis, if it does not show the time
+   * - `height`: height (px)
+   * - `sync`: name of the plots that share the crosshair
    */
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
     this.readout = h("p", { class: "readout" });
     const keys = "arrow keys move the crosshair, shift and arrow keys move the span, plus and minus zoom, home returns to the newest data";
     this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
-    const legend = (plot.legend ?? []).map(({ name, colour, dash }) => {
+    this.holder.style.minHeight = `${this.#height}px`;
+    const legend = (plot.legend ?? []).map(({ name, colour, dash, shape, isHollow }) => {
       // An area, or a line with its dashes.
       const drawn = () => s("svg", { class: "key-line", width: 32, height: 8, "aria-hidden": "true" }, s("line", { x1: 0, y1: 4, x2: 32, y2: 4, "stroke-dasharray": dash.join(" ") }));
-      const key = dash ? drawn() : h("span", { class: "key", "aria-hidden": "true" });
+      const key = shape ? shapeKey({ shape, isHollow }) : dash ? drawn() : h("span", { class: "key", "aria-hidden": "true" });
       key.style.setProperty("--key", `var(${colour})`);
       return h("li", {}, key, name);
     });
@@ -211,34 +219,42 @@ export class Plot {
     const last = lastOf(data);
     // Refetched data may have fewer rows than the crosshair's index.
     const at = last === null ? null : Math.min(index ?? last, last);
-    const text = at === null ? "" : `${clock(data[0][at])} · ${this.plot.readout(data, at)}`;
+    const when = this.plot.across ? "" : `${(this.plot.at ?? clock)(data[0][at ?? 0])} · `;
+    const text = at === null ? "" : `${when}${this.plot.readout(data, at)}`;
     setText(this.readout, text);
+  }
+
+  get #height() {
+    return this.plot.height ?? HEIGHT;
   }
 
   #resize() {
     const width = this.holder.clientWidth;
-    if (this.#uplot && width > 0 && width !== this.#uplot.width) this.#uplot.setSize({ width, height: HEIGHT });
+    if (this.#uplot && width > 0 && width !== this.#uplot.width) this.#uplot.setSize({ width, height: this.#height });
   }
 
   #options() {
     const isNarrow = this.holder.clientWidth < 520;
+    const { across } = this.plot;
     const axis = { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
     return {
       width: this.holder.clientWidth,
-      height: HEIGHT,
+      height: this.#height,
       padding: [(u) => this.#room(u), null, null, null],
       legend: { show: false },
       tzDate: (seconds) => (isLocal() ? new Date(1000 * seconds) : uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC")),
-      cursor: { sync: { key: "span" }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
-      scales: { x: { time: true }, y: { range: this.plot.range ?? padded } },
+      cursor: { sync: { key: across ? null : (this.plot.sync ?? "span") }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
+      scales: { x: { time: !across }, y: { range: this.plot.range ?? padded } },
       axes: [
-        { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
+        across
+          ? { ...axis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(compact), label: across, labelSize: 18 }
+          : { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
         { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
       bands: this.plot.bands?.() ?? [],
       hooks: {
-        draw: [(u) => this.#marks(u)],
+        draw: [(u) => this.plot.paint?.(u), (u) => this.#marks(u)],
         setCursor: [(u) => this.#read(u.cursor.idx ?? null)],
         setSelect: [(u) => this.#zoom(u)],
       },

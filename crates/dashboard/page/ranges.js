@@ -5,25 +5,29 @@ import { LENGTHS } from "./span.js";
 import { duration, fieldOf, isWithoutDate, time, timeOfField } from "./words.js";
 
 export class RangeBar {
-  /** `csv()` returns the address of the visible data of all plots. */
-  constructor(span, csv) {
+  /**
+   * `csv()` returns the address of the visible data of all plots. `key` begins the identifiers of the
+   * fields.
+   */
+  constructor(span, csv, { lengths = LENGTHS, key = "range" } = {}) {
     this.span = span;
-    this.buttons = LENGTHS.map(([length, text]) => {
+    const free = key === "range" ? "free-range" : `${key}-free-range`;
+    this.buttons = lengths.map(([length, text]) => {
       const button = h("button", { type: "button", onclick: () => span.live(length) }, text);
       return { length, button };
     });
     this.zoomed = h("button", { type: "button", class: "back", onclick: () => span.live(span.length_s) }, "▶ Back to live");
     this.text = h("span", { class: "range-text", role: "status" });
-    this.opener = h("button", { type: "button", class: "free", "aria-expanded": "false", "aria-controls": "free-range", onclick: () => this.#toggle() }, "From … to …");
-    this.from = h("input", { type: "datetime-local", step: 1, id: "range-from", required: true });
-    this.to = h("input", { type: "datetime-local", step: 1, id: "range-to", required: true });
+    this.opener = h("button", { type: "button", class: "free", "aria-expanded": "false", "aria-controls": free, onclick: () => this.#toggle() }, "From … to …");
+    this.from = h("input", { type: "datetime-local", step: 1, id: `${key}-from`, required: true });
+    this.to = h("input", { type: "datetime-local", step: 1, id: `${key}-to`, required: true });
     this.told = h("span", { class: "told", role: "status" });
     this.form = h(
       "form",
-      { class: "free-range", id: "free-range", hidden: true, onsubmit: (event) => this.#submit(event) },
-      h("label", { for: "range-from" }, "From"),
+      { class: "free-range", id: free, hidden: true, onsubmit: (event) => this.#submit(event) },
+      h("label", { for: `${key}-from` }, "From"),
       this.from,
-      h("label", { for: "range-to" }, "to"),
+      h("label", { for: `${key}-to` }, "to"),
       this.to,
       h("button", { type: "submit" }, "Show"),
       h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, "CSV of all plots"),

@@ -3,6 +3,7 @@
 import { AcknowledgeDialog } from "./alerts.js";
 import { h, keyed, setText } from "./dom.js";
 import { EventsTab } from "./events.js";
+import { LastingTab } from "./lasting.js";
 import { ModelTab } from "./model.js";
 import { NowTab } from "./now.js";
 import { age, showAcknowledged, showNow, showStale } from "./overview.js";
@@ -108,7 +109,8 @@ export class StructurePage {
       choose: (parameter) => (location.hash = place(this.name, parameter)),
       changed: () => this.#remember(),
     };
-    this.tabs = [new NowTab(page), new ParametersTab(page), new ModelTab(page), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
+    this.tabs = [new NowTab(page), new ParametersTab(page), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), new ModelTab(page), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
+    if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), `Views of ${this.name}`, (key) => this.#open(key));
     this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]));
     this.body.replaceChildren(h("div", { class: "sticky" }, this.bar.list, this.ranges.element), ...this.bar.panels, this.dialog.element);
@@ -134,7 +136,7 @@ export class StructurePage {
   }
 
   #address() {
-    return addressOf({ structure: this.name, tab: this.tab, parameter: this.#current?.chosen, span: this.span, isOwnScale: !this.scale.isCommon });
+    return addressOf({ structure: this.name, tab: this.tab, parameter: this.#current?.chosen, span: this.#current?.span ?? this.span, isOwnScale: !this.scale.isCommon });
   }
 
   /** Keeps the address in step with what is shown, so that a reload shows the same. */
@@ -213,12 +215,14 @@ export class StructurePage {
   #goto(tab, parameters) {
     const parameter = parameters.get("parameter");
     this.scale.isCommon = parameters.get("scale") !== "own";
-    this.#showTab(tab in TABS ? tab : parameter ? "parameters" : "now");
+    const isThere = this.tabs.some(({ key }) => key === tab);
+    this.#showTab(isThere ? tab : parameter ? "parameters" : "now");
     const span = spanOf(parameters, AROUND_S);
-    if (span?.length_s) this.span.live(span.length_s);
-    else if (span) this.span.fix(span.from_s, span.to_s);
-    else if (!this.span.isLive || this.span.length_s !== this.span.usual_s) this.span.live(this.span.usual_s);
-    this.#current.goto?.(parameter);
+    const shown = this.#current.span ?? this.span;
+    if (span?.length_s) shown.live(span.length_s);
+    else if (span) shown.fix(span.from_s, span.to_s);
+    else if (!shown.isLive || shown.length_s !== shown.usual_s) shown.live(shown.usual_s);
+    this.#current.goto?.(parameters.get("quantity") ?? parameter);
     this.#remember();
   }
 }

@@ -1,6 +1,6 @@
 // Names of states and formats of numbers. The formats of times and addresses are beside it.
 
-import { duration } from "./time.js";
+import { duration, time } from "./time.js";
 
 export * from "./address.js";
 export * from "./time.js";
@@ -17,7 +17,7 @@ export const LEVELS = {
 };
 
 /** Names of the tabs of a structure, and the texts above their contents. */
-export const TABS = { now: "Now", parameters: "Parameters", model: "Model", sensors: "Sensors", events: "Events", settings: "Settings" };
+export const TABS = { now: "Now", parameters: "Parameters", lasting: "Lasting change", model: "Model", sensors: "Sensors", events: "Events", settings: "Settings" };
 
 /** Titles of the columns of the tables. */
 export const COLUMNS = {
@@ -25,6 +25,7 @@ export const COLUMNS = {
   sensors: ["Sensor", "Quantity", "Node", "State", "Last sample used", "Compared with the others", "Probability of a fault", "Sampling instant", "Clock", "Rejected"],
   events: ["Time", "About", "What happened", ""],
   services: ["Service", "State", "Lag", "Items processed", "Dropped or corrected"],
+  delays: ["Loss of stiffness", "Found after (median)", "Found within 30 days"],
   rules: ["Parameters", "Loss", "Probability required", "Duration required"],
 };
 
@@ -232,14 +233,10 @@ export function conditionWords({ name, unit: of, value, age_s, stale, implausibl
 const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm" };
 
 /** Returns the level, sign and words of the judgement of a quantity. */
-export function judgementWords({ word, sentence, change, expectation, epoch_ns: epoch, measured, false_alarms_per_year: budget }) {
+export function judgementWords({ word, sentence, change, epoch_ns: epoch, measured }) {
   const level = JUDGEMENTS[word] ?? "learning";
   const parts = [`${LEVELS[level].sign} ${word}: ${sentence}`];
   if (change) parts.push(`Found on ${new Date(change.found_ns / 1e6).toISOString().slice(0, 10)}.`);
-  if (expectation) {
-    const { measured: value, expected, interval, ln_evidence: evidence, ln_threshold: threshold } = expectation;
-    parts.push(`Measured ${number(value)}, expected ${number(expected)} [${number(interval.low)}, ${number(interval.high)}]. Evidence of a loss ${evidence.toFixed(1)}, threshold ${threshold.toFixed(1)} (ln). Budget ${number(budget)} false alarms a year.`);
-  }
   parts.push(epoch === null ? "No epoch yet." : `Last epoch ${time(epoch / 1e9)}.`);
   if (!measured) parts.push("Contains replayed or simulated samples.");
   return { level, text: parts.join(" ") };

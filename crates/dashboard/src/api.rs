@@ -4,6 +4,7 @@ use crate::entrance::{self, SESSION_PATH, pass, signed};
 use crate::gate::{SessionEnd, Visitor};
 use crate::health::{self, LIVE_PATH, READY_PATH};
 use crate::history::{self, Asked, Format, Refused};
+use crate::judgements;
 use crate::live;
 use crate::metrics::{self, metrics};
 use crate::overview::overview;
@@ -55,6 +56,11 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             "/api/structures/{structure}/history",
             Method::GET,
             get(read_history),
+        ),
+        (
+            "/api/structures/{structure}/judgements/{quantity}/course",
+            Method::GET,
+            get(read_course),
         ),
         (
             "/api/structures/{structure}/alerts/{parameter}/acknowledge",
@@ -266,14 +272,43 @@ async fn read_history(
     }
     Ok(match asked.format {
         Format::Json => Json(span).into_response(),
-        Format::Csv => {
-            let name = format!("attachment; filename=\"{name}.csv\"");
-            let headers = [
-                (CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
-                (CONTENT_DISPOSITION, name),
-            ];
-            (headers, span.csv()).into_response()
-        }
+        Format::Csv => csv(&name, span.csv()),
+    })
+}
+
+/// Returns a response that a browser saves as `NAME.csv`.
+fn csv(name: &str, text: String) -> Response {
+    let headers = [
+        (CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
+        (
+            CONTENT_DISPOSITION,
+            format!("attachment; filename=\"{name}.csv\""),
+        ),
+    ];
+    (headers, text).into_response()
+}
+
+async fn read_course(
+    State(server): Shared,
+    Path((structure, quantity)): Path<(String, String)>,
+    asked: Result<Query<judgements::Asked>, QueryRejection>,
+) -> Result<Response, Mistake> {
+    let Query(asked) = asked?;
+    let (quantity, query) = {
+        let store = find(&server, &structure)?;
+        (judgements::quantity(&store, &quantity)?, asked.query()?)
+    };
+    let course = server.ask_course(&structure, &quantity, &query).await;
+    let course = course.ok_or_else(|| {
+        Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "the service judge does not answer",
+            "must run for this structure; try again",
+        )
+    })?;
+    Ok(match asked.format {
+        Format::Json => Json(course).into_response(),
+        Format::Csv => csv(&format!("{structure}-{quantity}"), course.csv()),
     })
 }
 

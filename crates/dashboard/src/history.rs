@@ -143,16 +143,9 @@ impl Request {
         if !(1..=MOST_POINTS).contains(&points) {
             return refuse(format!("points is {points}"), "must be from 1 to 20000");
         }
-        let time = |name: &str, text: &Option<String>, missing: i64| match text {
-            None => Ok(missing),
-            Some(text) => time_ns(text).ok_or_else(|| Refused {
-                what: format!("{name} is `{}`", shortened(text)),
-                allowed: format!("must be {TIMES}"),
-            }),
-        };
         let (from_ns, to_ns) = (
-            time("from", &asked.from, i64::MIN)?,
-            time("to", &asked.to, i64::MAX)?,
+            time("from", asked.from.as_ref(), i64::MIN)?,
+            time("to", asked.to.as_ref(), i64::MAX)?,
         );
         if from_ns > to_ns {
             let seconds = |time_ns: i64| time_ns as f64 / 1e9;
@@ -169,6 +162,17 @@ impl Request {
             to_ns,
             points,
         })
+    }
+}
+
+/// Returns the time of a request (ns since the Unix epoch, UTC), or `missing` if there is none.
+pub(crate) fn time(name: &str, text: Option<&String>, missing: i64) -> Result<i64, Refused> {
+    match text {
+        None => Ok(missing),
+        Some(text) => time_ns(text).ok_or_else(|| Refused {
+            what: format!("{name} is `{}`", shortened(text)),
+            allowed: format!("must be {TIMES}"),
+        }),
     }
 }
 

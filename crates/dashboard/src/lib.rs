@@ -28,7 +28,7 @@
 //!
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
 //! and `overview` (what needs attention, and why), `conditions` (temperatures and the like), `view`
-//! (data for the page), `history` (spans of time).
+//! (data for the page), `history` (spans of time), `judgements` (years of a judged quantity).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
 //! heads), `gate` and `entrance` (who may do what).
@@ -56,6 +56,7 @@ mod sensors;
 mod view;
 
 mod history;
+mod judgements;
 
 mod server;
 

@@ -61,6 +61,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     ),
     asset!("/app.js", SCRIPT, "../page/app.js"),
     asset!("/entrance.js", SCRIPT, "../page/entrance.js"),
+    asset!("/course.js", SCRIPT, "../page/course.js"),
     asset!("/connection.js", SCRIPT, "../page/connection.js"),
     asset!("/dom.js", SCRIPT, "../page/dom.js"),
     asset!("/words.js", SCRIPT, "../page/words.js"),
@@ -76,6 +77,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/address.js", SCRIPT, "../page/address.js"),
     asset!("/events.js", SCRIPT, "../page/events.js"),
     asset!("/groups.js", SCRIPT, "../page/groups.js"),
+    asset!("/lasting.js", SCRIPT, "../page/lasting.js"),
     asset!("/model.js", SCRIPT, "../page/model.js"),
     asset!("/now.js", SCRIPT, "../page/now.js"),
     asset!("/parameters.js", SCRIPT, "../page/parameters.js"),
@@ -83,10 +85,12 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/search.js", SCRIPT, "../page/search.js"),
     asset!("/sensors.js", SCRIPT, "../page/sensors.js"),
     asset!("/settings.js", SCRIPT, "../page/settings.js"),
+    asset!("/shapes.js", SCRIPT, "../page/shapes.js"),
     asset!("/smalls.js", SCRIPT, "../page/smalls.js"),
     asset!("/sparklines.js", SCRIPT, "../page/sparklines.js"),
     asset!("/tabs.js", SCRIPT, "../page/tabs.js"),
     asset!("/time.js", SCRIPT, "../page/time.js"),
+    asset!("/year.js", SCRIPT, "../page/year.js"),
 ];
 
 impl IntoResponse for Asset {

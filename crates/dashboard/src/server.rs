@@ -4,7 +4,10 @@ use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
 use crate::store::Store;
-use spandrel_bus::{Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, Keys};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, JudgementCourse, Keys,
+    Name, SpanQuery,
+};
 use spandrel_listener::Input;
 use spandrel_service::Clock;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -16,6 +19,9 @@ use tracing::warn;
 
 /// Maximum number of concurrent WebSocket clients.
 const MOST_CLIENTS: usize = 64;
+
+/// Time limit for a reply of the service judge, which may be learning a reference.
+const JUDGE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Time limit for a reply of the history service.
 const HISTORY_WITHIN: Duration = Duration::from_secs(3);
@@ -212,6 +218,27 @@ impl Server {
             });
         }
         asked.join_all().await.into_iter().flatten().collect()
+    }
+
+    /// Queries the service judge for the course of a quantity. Returns `None` without a reply in
+    /// time.
+    pub(crate) async fn ask_course(
+        &self,
+        structure: &str,
+        quantity: &Name,
+        query: &SpanQuery,
+    ) -> Option<JudgementCourse> {
+        let mut structures = self.structures.iter();
+        let (keys, _) = structures.find(|(keys, _)| keys.structure().as_str() == structure)?;
+        let selector = format!("{}?{query}", keys.judgement_course(quantity));
+        let answers = self.bus.ask::<JudgementCourse>(&selector, JUDGE_WITHIN);
+        let answers = answers
+            .await
+            .inspect_err(|error| warn!(%error, "cannot query the service judge"))
+            .ok()?;
+        // If several services reply, take the reply with the most days.
+        let courses = answers.into_iter().map(|(_, course)| course);
+        courses.max_by_key(|course| course.rows.len())
     }
 
     /// Reserves a place for one more client. Returns `None` if all places are taken.

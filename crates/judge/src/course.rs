@@ -92,6 +92,7 @@ impl Course {
             day: frame.day,
             quantity: frame.quantity.name.clone(),
             state: State::Judged,
+            means: day.as_ref().map(Day::means),
             expectation: None,
             finding: None,
             raised: false,
@@ -216,7 +217,7 @@ impl Judging {
             self.detector.judge(day.number, &row.x, evidence);
             self.cusum = cusum::next(self.cusum, z.clamp(-3.0, 3.0));
         }
-        let expectation = self.expectation(&row, &expected, z);
+        let expectation = self.expectation(day, &expected, z);
         if !alarm {
             let learnt = Learnt {
                 z,
@@ -271,11 +272,11 @@ impl Judging {
         self.detector.learn(&row.x, &response);
     }
 
-    fn expectation(&self, row: &Row, expected: &Expected, z: f64) -> Expectation {
+    fn expectation(&self, day: &Day, expected: &Expected, z: f64) -> Expectation {
         let centre = self.reference.centre;
         let half = self.reference.quantile * expected.scatter_std;
         Expectation {
-            measured: (row.y + centre).exp(),
+            measured: day.value(),
             expected: (expected.value + centre).exp(),
             interval: [-half, half].map(|half| (expected.value + half + centre).exp()),
             residual: z,

@@ -4,6 +4,7 @@
 //! quantity, so that the mean of a linear model is the model of the means.
 
 use crate::frost::{DAY_KNOTS, below_all};
+use crate::judgement::DayMeans;
 use serde::{Deserialize, Serialize};
 
 /// Seconds of a day.
@@ -32,6 +33,22 @@ pub(crate) struct Day {
     pub(crate) conditions: Vec<f32>,
     /// Mean of min(T − T0, 0) (°C) for each condition and each knot.
     pub(crate) below: Vec<[f32; DAY_KNOTS]>,
+}
+
+impl Day {
+    /// Returns the geometric mean of the quantity, in its unit.
+    pub(crate) fn value(&self) -> f64 {
+        self.y.exp()
+    }
+
+    /// Returns the means in the units of the quantity and of the conditions.
+    pub(crate) fn means(&self) -> DayMeans {
+        DayMeans {
+            value: self.value(),
+            conditions: self.conditions.clone(),
+            epochs: self.epochs,
+        }
+    }
 }
 
 /// Epochs of the day that is not over yet.

@@ -137,6 +137,18 @@ pub struct Expectation {
     pub cusum_share: f64,
 }
 
+/// Means over the epochs of a day that count.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DayMeans {
+    /// Geometric mean of the quantity, in its unit.
+    pub value: f64,
+    /// Mean of each condition, in the order of the settings: °C of a temperature, log10 of an
+    /// amplitude, and the unit of any other.
+    pub conditions: Vec<f32>,
+    /// Number of epochs.
+    pub epochs: u16,
+}
+
 /// Judgement of one day of one quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Judgement {
@@ -146,6 +158,8 @@ pub struct Judgement {
     pub quantity: String,
     /// State on this day.
     pub state: State,
+    /// Means of the day, if an epoch had the quantity and all conditions.
+    pub means: Option<DayMeans>,
     /// Expected value, if a reference exists and the day has data.
     pub expectation: Option<Expectation>,
     /// Finding that holds on this day.

@@ -90,7 +90,7 @@ pub use calibration::{Delay, Performance};
 pub use epoch::Epoch;
 pub use error::JudgeError;
 pub use judge::Judge;
-pub use judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
+pub use judgement::{Absence, Change, DayMeans, Expectation, Finding, Judgement, Novelty, State};
 pub use reference::Missing;
 pub use report::{QuantityReport, ReferenceReport};
 pub use settings::{

@@ -1,23 +1,18 @@
 //! Judges closed epochs, and states the result in messages.
 
+use crate::course::{Course, Subject, change, expectation, start_ns, state};
 use crate::epochs::ClosedEpoch;
-use spandrel_bus::{
-    ChangeKind, CredibleInterval, DayExpectation, Event, EventKind, JudgementDisplay,
-    JudgementState, LastingChange, Name,
-};
-use spandrel_judge::{Change, Expectation, Finding, Judge, JudgeError, Judgement, Settings, State};
+use spandrel_bus::{Event, EventKind, JudgementCourse, JudgementDisplay, Name, SpanQuery};
+use spandrel_judge::{Judge, JudgeError, Judgement, Settings, State};
 
-/// Nanoseconds of a day.
-const DAY_NS: i64 = 86_400_000_000_000;
-/// Level of the intervals of the judgement.
-const LEVEL: f64 = 0.95;
-
-/// The judge of one structure, and its last judgements.
+/// The judge of one structure, and its judgements.
 #[derive(Debug, Clone)]
 pub(crate) struct Judging {
     structure: Name,
     judge: Judge,
     quantities: Vec<JudgedQuantity>,
+    /// Names of the conditions, in the order of the settings.
+    conditions: Vec<Name>,
     /// Middle of the last epoch (ns since 1970-01-01 UTC).
     epoch_ns: Option<i64>,
     epochs: u64,
@@ -30,28 +25,30 @@ struct JudgedQuantity {
     name: Name,
     /// Number of epochs with a value.
     epochs: u64,
-    last: Option<Judgement>,
+    course: Course,
 }
 
 impl Judging {
-    /// Creates a judge without any reference. `names` are those of the quantities in `settings`.
+    /// Creates a judge without any reference. `names` and `conditions` are the names in `settings`.
     ///
     /// # Errors
     /// A setting is out of range.
     pub(crate) fn new(
         structure: Name,
         names: Vec<Name>,
+        conditions: Vec<Name>,
         settings: Settings,
     ) -> Result<Self, JudgeError> {
         let quantities = names.into_iter().map(|name| JudgedQuantity {
             name,
             epochs: 0,
-            last: None,
+            course: Course::default(),
         });
         Ok(Self {
             structure,
             judge: Judge::new(settings)?,
             quantities: quantities.collect(),
+            conditions,
             epoch_ns: None,
             epochs: 0,
             is_measured: true,
@@ -97,7 +94,7 @@ impl Judging {
             if judgement.raised {
                 events.extend(event(&self.structure, &judgement, closed.middle_ns));
             }
-            quantity.last = Some(judgement);
+            quantity.course.push(judgement);
         }
         Ok(is_day_over)
     }
@@ -106,7 +103,8 @@ impl Judging {
     /// UTC).
     pub(crate) fn displays(&self, time_ns: i64) -> Vec<JudgementDisplay> {
         let display = |quantity: &JudgedQuantity| {
-            let judgement = match &quantity.last {
+            let last = quantity.course.last();
+            let judgement = match last {
                 Some(last) => last.clone(),
                 None => self.first(quantity),
             };
@@ -114,7 +112,7 @@ impl Judging {
                 structure: self.structure.clone(),
                 quantity: quantity.name.clone(),
                 time_ns,
-                day_ns: quantity.last.as_ref().map(|last| start_ns(last.day)),
+                day_ns: last.map(|last| start_ns(last.day)),
                 epoch_ns: self.epoch_ns,
                 epochs: quantity.epochs,
                 measured: self.is_measured,
@@ -136,10 +134,28 @@ impl Judging {
             state: State::Learning {
                 days_left: self.judge.settings().commissioning_days,
             },
+            means: None,
             expectation: None,
             finding: None,
             raised: false,
         }
+    }
+
+    /// Returns the days of a quantity in the span of a query, or `None` if it is not judged.
+    pub(crate) fn course(&self, quantity: &Name, query: &SpanQuery) -> Option<JudgementCourse> {
+        let mut quantities = self.quantities.iter();
+        let index = quantities.position(|known| known.name == *quantity)?;
+        let settings = self.judge.settings();
+        let subject = Subject {
+            structure: &self.structure,
+            quantity,
+            kind: settings.quantities.get(index)?.kind,
+            conditions: &self.conditions,
+            settings,
+            reference: self.judge.report().into_iter().nth(index)?.reference,
+        };
+        let course = &self.quantities.get(index)?.course;
+        Some(course.answer(subject, query))
     }
 }
 
@@ -153,70 +169,6 @@ fn event(structure: &Name, judgement: &Judgement, time_ns: i64) -> Option<Event>
         what: finding.name().to_owned(),
         why: judgement.sentence(),
     })
-}
-
-fn state(state: &State) -> JudgementState {
-    match state {
-        State::Learning { .. } => JudgementState::Learning,
-        State::NotReady { .. } => JudgementState::NotReady,
-        State::Judged => JudgementState::Judged,
-        State::OutsideExperience { .. } => JudgementState::OutsideExperience,
-        State::NoStatement { .. } => JudgementState::NoStatement,
-    }
-}
-
-fn change(finding: &Finding) -> LastingChange {
-    let Change {
-        found_day,
-        since_day,
-        loss,
-        interval,
-    } = *finding.change();
-    LastingChange {
-        kind: match finding {
-            Finding::LastingLoss(_) => ChangeKind::LastingLoss,
-            Finding::LearnedAway(_) => ChangeKind::LearnedAway,
-            Finding::Stiffer(_) => ChangeKind::Stiffer,
-        },
-        found_ns: start_ns(found_day),
-        since_ns: start_ns(since_day),
-        loss,
-        interval: credible(interval),
-    }
-}
-
-fn expectation(of_day: &Expectation) -> DayExpectation {
-    let Expectation {
-        measured,
-        expected,
-        interval,
-        residual,
-        ln_evidence,
-        ln_threshold,
-        cusum_share,
-    } = *of_day;
-    DayExpectation {
-        measured,
-        expected,
-        interval: credible(interval),
-        residual,
-        ln_evidence,
-        ln_threshold,
-        cusum_share,
-    }
-}
-
-fn credible([low, high]: [f64; 2]) -> CredibleInterval {
-    CredibleInterval {
-        level: LEVEL,
-        low,
-        high,
-    }
-}
-
-/// Returns the start of a day (ns since 1970-01-01 UTC).
-fn start_ns(day: i64) -> i64 {
-    day.saturating_mul(DAY_NS)
 }
 
 #[cfg(test)]

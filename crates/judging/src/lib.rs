@@ -1,18 +1,21 @@
 //! The service `judge`: judges lasting changes of a structure from its live estimates.
 //!
 //! Takes the estimates of the parameters and the values of the conditions. Forms epochs of them,
-//! saves each epoch in a CSV file, and publishes the state of each quantity with one sentence.
+//! saves each epoch in a CSV file, and publishes the state of each quantity with one sentence. It
+//! answers queries for the course of a quantity: one row per day.
 //!
 //! The file is a series that `spandrel judge --series` reads. After a restart, the service reads it
 //! with the same reader, so both give the same judgements, bit for bit.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
+//! - [`course_row`]: a judgement as a row of the course of its quantity
 //! - `judging`: closed epochs in, judgements and events out
 //! - `epoch_log`: the file of the epochs
 //! - [`JudgeService`], [`JudgePlanned`]: the service
 //!
 //! The maths is in `spandrel-judge`. For rules on single estimates, use `spandrel-alert`.
 
+mod course;
 mod epochs;
 mod judging;
 
@@ -24,5 +27,6 @@ mod service;
 #[cfg(test)]
 mod testing;
 
+pub use course::course_row;
 pub use error::JudgingError;
 pub use service::{JudgePlanned, JudgeService};

@@ -5,8 +5,8 @@ use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, Sources};
 use crate::error::JudgingError;
 use crate::judging::Judging;
 use spandrel_bus::{
-    BoxedFuture, DisplayPublisher, Event, JudgementDisplay, Keys, LiveToken, LiveWatch, Name, Pace,
-    Service, parse_key, reported_pace,
+    BoxedFuture, DisplayPublisher, Event, JudgementDisplay, KeyFamily, Keys, LiveToken, LiveWatch,
+    Name, Pace, Question, Questions, Service, SpanQuery, parse_key, reported_pace,
 };
 use spandrel_judge::QuantityKind;
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
@@ -35,6 +35,9 @@ const GATHER_EVERY: Duration = Duration::from_millis(50);
 /// Interval at which each state is published again, for those who have subscribed meanwhile.
 const REPEAT_EVERY: Duration = Duration::from_secs(5);
 
+/// Capacity of the queue for queries.
+const QUESTIONS_WAITING: usize = 64;
+
 /// What the service of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct JudgePlanned {
@@ -59,6 +62,8 @@ pub struct JudgeService {
     /// `None` only while another thread judges.
     bench: Option<Bench>,
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
+    /// Queries for the courses of the quantities.
+    questions: Questions,
     events: EventPublisher,
     status: StatusPublisher,
     token: LiveToken,
@@ -130,6 +135,7 @@ impl JudgeService {
                 let judging = Judging::new(
                     keys.structure().clone(),
                     names.clone(),
+                    conditions(plan)?,
                     plan.settings.clone(),
                 )?;
                 Bench::open(judging, folder.map(|folder| (folder.as_path(), plan)))
@@ -157,6 +163,9 @@ impl JudgeService {
                 epochs: Epochs::new(sources, bench.judging.epoch_ns()),
                 bench: Some(bench),
                 topics,
+                questions: bus
+                    .questions(keys.all_judgement_courses(), QUESTIONS_WAITING)
+                    .await?,
                 events: EventPublisher::declare(bus, keys).await?,
                 state: StructureState::default(),
                 simulated: bus.watch_live(keys.all_simulated()).await?,
@@ -188,12 +197,45 @@ impl JudgeService {
                     }
                     _ = repeat.tick() => self.put_states().await?,
                     _ = gather.tick() => self.gather().await?,
+                    Some(question) = self.questions.next() => self.answer(&question).await,
                 }
             }
             self.gather().await?;
             self.token.withdraw().await?;
             Ok(())
         })
+    }
+
+    /// Answers a query for the course of a quantity.
+    async fn answer(&self, question: &Question) {
+        let Some(bench) = &self.bench else {
+            return; // an earlier call has ended the service
+        };
+        let topic = parse_key(self.keys.root(), question.key_expression());
+        let topic = topic.map(|(_, topic)| topic);
+        let Some(quantity) = topic.and_then(|topic| {
+            topic
+                .of
+                .filter(|_| topic.family == KeyFamily::JudgementCourse)
+        }) else {
+            return question
+                .reject("must be for one quantity, without wildcards")
+                .await;
+        };
+        let query: SpanQuery = match question.parameters().parse() {
+            Ok(query) => query,
+            Err(error) => return question.reject(&error.to_string()).await,
+        };
+        let Some(course) = bench.judging.course(&quantity, &query) else {
+            let known: Vec<&str> = self.topics.keys().map(Name::as_str).collect();
+            let known = known.join(", ");
+            let why = format!("unknown quantity {quantity}, must be one of: {known}");
+            return question.reject(&why).await;
+        };
+        let key = self.keys.judgement_course(&quantity);
+        if let Err(error) = question.answer(&key, &course).await {
+            question.refuse(&error.to_string()).await;
+        }
     }
 
     /// Processes what has arrived since the last call.
@@ -357,6 +399,11 @@ fn name(text: &str) -> Result<Name, JudgingError> {
         found: text.to_owned(),
         source,
     })
+}
+
+fn conditions(plan: &JudgePlan) -> Result<Vec<Name>, JudgingError> {
+    let conditions = plan.settings.conditions.iter();
+    conditions.map(|condition| name(&condition.name)).collect()
 }
 
 fn sources(structure: &Structure, plan: &JudgePlan) -> Result<Sources, JudgingError> {

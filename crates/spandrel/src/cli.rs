@@ -130,7 +130,8 @@ pub enum Command {
         after_help = "Examples: spandrel judge --config spandrel.toml\n          \
                       spandrel judge footbridge.toml --series footbridge.csv\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --report\n          \
-                      spandrel judge footbridge.toml --series footbridge.csv --json"
+                      spandrel judge footbridge.toml --series footbridge.csv --json\n          \
+                      spandrel judge footbridge.toml --series footbridge.csv --course days.csv"
     )]
     Judge(JudgeArguments),
     /// Describe a recording: channels, rates, gaps, statistics and spectral peaks.
@@ -666,6 +667,9 @@ pub struct JudgeArguments {
     /// Print one JSON object per line: every judgement of every day.
     #[arg(long)]
     pub json: bool,
+    /// Write one row per quantity and day to this CSV file.
+    #[arg(long, value_name = "FILE")]
+    pub course: Option<PathBuf>,
     #[command(flatten)]
     pub service: ServiceArguments,
 }

@@ -214,8 +214,8 @@ pub enum AppError {
         /// Number of structure files.
         found: usize,
     },
-    /// `--report` or `--json` was given without a series.
-    #[error("--report and --json need --series")]
+    /// `--report`, `--json` or `--course` was given without a series.
+    #[error("--report, --json and --course need --series")]
     NoSeries,
     /// The system defines no folder for persistent state.
     #[error(

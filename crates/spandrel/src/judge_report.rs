@@ -2,7 +2,11 @@
 
 use jiff::civil::Date;
 use serde_json::json;
-use spandrel_judge::{Delay, Judgement, QuantityReport, ReferenceReport, Settings, State};
+use spandrel_bus::CourseRow;
+use spandrel_judge::{
+    Delay, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State,
+};
+use spandrel_judging::course_row;
 use std::fmt::{self, Write as _};
 
 /// A judgement with its structure and date.
@@ -25,6 +29,7 @@ impl<'j> DayLine<'j> {
             day,
             quantity,
             state,
+            means,
             expectation,
             finding,
             raised,
@@ -45,6 +50,7 @@ impl<'j> DayLine<'j> {
             "date": date(*day).to_string(),
             "state": state.name(),
             "sentence": self.judgement.sentence(),
+            "means": means,
             "expectation": expectation,
             "finding": finding,
             "raised": raised,
@@ -120,6 +126,20 @@ impl fmt::Display for Summary<'_> {
         }
         Ok(())
     }
+}
+
+/// Returns the course of each quantity, day by day, as the service judge states it.
+pub fn course_csv(settings: &Settings, judgements: &[Judgement]) -> String {
+    let conditions = settings.conditions.iter();
+    let names: Vec<&str> = conditions
+        .map(|condition| condition.name.as_str())
+        .collect();
+    let mut text = CourseRow::csv_header(&names);
+    for Quantity { name, .. } in &settings.quantities {
+        let days = judgements.iter().filter(|day| day.quantity == *name);
+        days.for_each(|day| text += &course_row(day).csv_line(name, names.len()));
+    }
+    text
 }
 
 /// Returns what each quantity promises, achieves, finds and misses.

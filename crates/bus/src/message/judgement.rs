@@ -168,24 +168,36 @@ impl Message for JudgementDisplay {
             f64::MAX,
         )?;
         if let Some(change) = &self.change {
-            check_finite("loss", change.loss)?;
-            check_interval(&change.interval)?;
+            change.check()?;
         }
-        let Some(expectation) = &self.expectation else {
-            return Ok(());
-        };
+        match &self.expectation {
+            Some(expectation) => expectation.check(),
+            None => Ok(()),
+        }
+    }
+}
+
+impl LastingChange {
+    pub(super) fn check(&self) -> Result<(), Malformed> {
+        check_finite("loss", self.loss)?;
+        check_interval(&self.interval)
+    }
+}
+
+impl DayExpectation {
+    pub(super) fn check(&self) -> Result<(), Malformed> {
         let finite = [
-            ("measured", expectation.measured),
-            ("expected", expectation.expected),
-            ("residual", expectation.residual),
-            ("ln evidence", expectation.ln_evidence),
-            ("ln threshold", expectation.ln_threshold),
-            ("cusum share", expectation.cusum_share),
+            ("measured", self.measured),
+            ("expected", self.expected),
+            ("residual", self.residual),
+            ("ln evidence", self.ln_evidence),
+            ("ln threshold", self.ln_threshold),
+            ("cusum share", self.cusum_share),
         ];
         for (what, value) in finite {
             check_finite(what, value)?;
         }
-        check_interval(&expectation.interval)
+        check_interval(&self.interval)
     }
 }
 

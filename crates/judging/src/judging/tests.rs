@@ -4,7 +4,7 @@ use spandrel_judge::Epoch;
 
 fn judging() -> Judging {
     let names = vec![name("pier"), name("girder")];
-    Judging::new(name("bridge"), names, plan().settings).unwrap()
+    Judging::new(name("bridge"), names, vec![name("deck")], plan().settings).unwrap()
 }
 
 /// Returns an epoch of a day (three of them), with a share of the stiffness.

@@ -1,16 +1,16 @@
 //! `spandrel judge`: judges live estimates, or a series of natural frequencies or stiffnesses offline.
 
-use super::print;
 use super::run::{Services, one};
+use super::{print, refuse_overwriting};
 use crate::cli::JudgeArguments;
 use crate::error::AppError;
-use crate::judge_report::{DayLine, Summary, report_text};
+use crate::judge_report::{DayLine, Summary, course_csv, report_text};
 use crate::services::Share;
 use spandrel_judge::{Epoch, Judge};
-use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
+use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordError, RecordReader};
 use spandrel_structure::{JudgePlan, JudgedStructure};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Runs the service, or judges every day of a series and prints what changed, or one line of JSON per
 /// judgement.
@@ -20,7 +20,9 @@ use std::path::Path;
 pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
     let structures = &arguments.service.structures;
     let structure = match (structures.as_slice(), arguments.series.is_empty()) {
-        (_, true) if arguments.report || arguments.json => return Err(AppError::NoSeries),
+        (_, true) if arguments.report || arguments.json || arguments.course.is_some() => {
+            return Err(AppError::NoSeries);
+        }
         (_, true) => return one(&arguments.service, Services::JUDGE, Share::ALL),
         ([structure], false) => JudgedStructure::read(structure)?,
         (several, false) => {
@@ -28,6 +30,9 @@ pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
             return Err(AppError::SeriesOfStructures { found });
         }
     };
+    if let Some(file) = &arguments.course {
+        refuse_overwriting(file, arguments.series.iter().map(PathBuf::as_path))?;
+    }
     let mut judge = Judge::new(structure.plan.settings.clone())?;
     let mut judgements = Vec::new();
     let mut epochs = 0_usize;
@@ -38,6 +43,13 @@ pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
         })?;
     }
     judge.finish(&mut judgements);
+    if let Some(file) = &arguments.course {
+        let text = course_csv(judge.settings(), &judgements);
+        std::fs::write(file, text).map_err(|source| RecordError::Open {
+            path: file.clone(),
+            source,
+        })?;
+    }
     if arguments.json {
         let mut text = String::new();
         for judgement in &judgements {

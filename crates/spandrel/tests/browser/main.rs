@@ -13,8 +13,11 @@
 
 mod chromium;
 mod conditions;
+mod lasting;
 mod layout;
 mod mistakes;
+#[path = "../../../../tests/support/seasons.rs"]
+mod seasons;
 #[path = "../../../../tests/support/skip.rs"]
 mod skip;
 mod workspace;

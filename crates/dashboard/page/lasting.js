@@ -1,0 +1,158 @@
+// The tab of lasting change: the judged quantities, and the year of one of them.
+
+import { CoursePoints, dateOf, noon } from "./course.js";
+import { h, keyed, setText } from "./dom.js";
+import { RangeBar } from "./ranges.js";
+import { DAY_S, Span } from "./span.js";
+import { COLUMNS, LEVELS, judged, judgementWords, number, percent } from "./words.js";
+import { Extent, conditionScatter, evidencePlot, residualPlot, valuePlot } from "./year.js";
+
+/** Selectable lengths (s). */
+const LENGTHS = [
+  [30 * DAY_S, "1 month"],
+  [92 * DAY_S, "3 months"],
+  [366 * DAY_S, "1 year"],
+  [2 * 366 * DAY_S, "2 years"],
+  [10 * 366 * DAY_S, "10 years"],
+];
+/** Length that is shown first: a year. */
+const YEAR_S = 366 * DAY_S;
+
+export class LastingTab {
+  key = "lasting";
+  /** The tab has a span of its own, because a judgement needs days and not seconds. */
+  hasSpan = false;
+  #known = null;
+
+  constructor(page) {
+    this.page = page;
+    this.span = Object.assign(new Span(), { usual_s: YEAR_S, length_s: YEAR_S });
+    this.extent = new Extent();
+    this.points = new CoursePoints(page.name, this.span);
+    this.points.quantity = page.about.judged[0] ?? null;
+    this.list = h("ul", { class: "quantities", "aria-label": "Judged quantities" });
+    this.title = h("h2");
+    this.sentence = h("p", { class: "sentence" });
+    this.facts = h("dl", { class: "facts" });
+    this.delays = h("tbody");
+    const heads = COLUMNS.delays.map((text) => h("th", { scope: "col" }, text));
+    this.finds = h("table", { class: "delays" }, h("caption", {}, "What the reference finds, in simulated years"), h("thead", {}, h("tr", {}, heads)), this.delays);
+    this.ranges = new RangeBar(this.span, () => this.points.csv(), { lengths: LENGTHS, key: "year" });
+    this.scatter = conditionScatter(this.points, this.span, this.extent);
+    const values = valuePlot(this.points, this.span);
+    this.plots = [values, residualPlot(this.points, this.span), evidencePlot(this.points, this.span), this.scatter];
+    values.element.classList.add("is-wide");
+    this.trouble = h("p", { class: "empty", role: "status", hidden: true });
+    const reference = h("section", { class: "card reference" }, h("h3", {}, "Reference and budget"), this.facts, this.finds);
+    const plots = h("div", { class: "plots", id: "year" }, this.plots.map(({ element }) => element), reference);
+    this.card = h("section", { class: "card judged" }, this.title, this.sentence);
+    this.element = h("section", { class: "group", id: "group-lasting" }, this.list, this.card, this.ranges.element, this.trouble, plots);
+    this.span.onchange(() => this.#respan());
+    this.extent.onchange(() => this.scatter.dirty());
+  }
+
+  get chosen() {
+    return this.points.quantity;
+  }
+
+  update({ judgements }) {
+    const make = (quantity) => {
+      const [sign, name, state] = [h("span", { class: "sign", "aria-hidden": "true" }), h("span", { class: "name" }, quantity), h("span", { class: "word" })];
+      const link = h("a", { href: judged(this.page.name, quantity) }, sign, name, state);
+      return { element: h("li", {}, link), link, sign, state };
+    };
+    keyed(this.list, this.page.about.judged, (quantity) => quantity, make, ({ link, sign, state }, quantity) => {
+      const judgement = judgements.find((judgement) => judgement.quantity === quantity);
+      const { level } = judgement ? judgementWords(judgement) : { level: "learning" };
+      link.dataset.level = level;
+      if (quantity === this.chosen) link.setAttribute("aria-current", "true");
+      else link.removeAttribute("aria-current");
+      setText(sign, LEVELS[level].sign);
+      setText(state, judgement?.word.replaceAll("-", " ") ?? "not reported yet");
+    });
+    const judgement = judgements.find(({ quantity }) => quantity === this.chosen);
+    this.#show(judgement);
+    // A new day, or another service that judges, changes the course.
+    const stamp = judgement ? JSON.stringify([this.chosen, judgement.day_ns, judgement.change, judgement.state]) : null;
+    if (stamp === this.#known) return;
+    this.#known = stamp;
+    if (judgement?.day_ns != null) this.span.newest_s = noon(judgement.day_ns);
+    this.#reload();
+  }
+
+  /** Draws what has arrived since the last call. */
+  draw() {
+    this.ranges.update();
+    const { course, trouble } = this.points;
+    this.scatter.element.hidden = course !== null && course.conditions.length === 0;
+    this.trouble.hidden = trouble === null;
+    if (trouble !== null) setText(this.trouble, `No days: ${trouble}.`);
+    if (course !== this.shown) {
+      this.shown = course;
+      this.#tell(course);
+    }
+  }
+
+  /** Fetches the days again, as after a lost connection. */
+  restart() {
+    this.#reload();
+  }
+
+  /** Shows the quantity in the address. */
+  goto(quantity) {
+    const { judged } = this.page.about;
+    const found = judged.includes(quantity) ? quantity : (judged[0] ?? null);
+    if (found !== this.chosen) {
+      this.points.quantity = found;
+      this.extent.live();
+      this.#reload();
+    }
+    this.update(this.page.standing());
+  }
+
+  #show(judgement) {
+    const level = judgement ? judgementWords(judgement).level : "learning";
+    this.card.dataset.level = level;
+    setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? "No quantity"}`);
+    setText(this.sentence, judgement?.sentence ?? "The service judge has not reported yet.");
+    this.budget = judgement?.false_alarms_per_year ?? null;
+  }
+
+  /** Shows what the reference promises, or what is missing. */
+  #tell(course) {
+    const fact = ([title, text]) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
+    this.facts.replaceChildren(...(course ? facts(course).map(fact) : []));
+    const delays = course?.reference?.delays ?? [];
+    const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? "mostly missed" : `${days} days`), h("td", {}, percent(share, 0)));
+    this.finds.hidden = delays.length === 0;
+    this.delays.replaceChildren(...delays.map(row));
+  }
+
+  #respan() {
+    this.plots.forEach((plot) => plot.restart());
+    this.page.changed();
+  }
+
+  #reload() {
+    this.points.forget();
+    this.plots.forEach((plot) => plot.restart());
+  }
+}
+
+/** Returns the facts of a course: titles and texts. */
+function facts({ reference, rows, kind, loss, commissioning_days: needed, false_alarms_per_year: budget }) {
+  const last = rows.at(-1);
+  const day = last ? [["Last day", `${dateOf(last.time)}, ${last.epochs} epochs`]] : [];
+  const shared = [["Loss that matters", `${percent(loss, 0)} of stiffness`]];
+  if (!reference) return [["Reference", `needs ${needed} days of commissioning`], ["Budget of the structure", `${number(budget)} false alarms a year`], ...shared, ...day];
+  const { from_ns: from, to_ns: to, coverage, scatter, knows_frost: frost, promised_per_year: promised, achieved_per_year: achieved } = reference;
+  return [
+    ["Reference", `${dateOf(noon(from))} to ${dateOf(noon(to))}${frost === false ? ", without frost" : ""}`],
+    ["Scatter of a day", `${percent(scatter, 2)} of the ${kind}`],
+    ["Later days in the 95 % interval", percent(coverage, 0)],
+    ["Promised false alarms a year", `${number(promised)}, of ${number(budget)} for the structure`],
+    ["In simulated years", `${number(achieved)} false alarms a year`],
+    ...shared,
+    ...day,
+  ];
+}
