@@ -86,10 +86,15 @@ fn inject(injection: &Injection<'_>) {
                 .map(|date| delay(&judge, &epochs[start..sound], mode, share, date))
                 .collect();
             let found = delays.iter().flatten().count();
+            let missed: Vec<i64> = (FIRST_DATE..=LAST_DATE)
+                .step_by(injection.between_dates)
+                .zip(&delays)
+                .filter_map(|(date, delay)| delay.is_none().then_some(date))
+                .collect();
             delays.sort_by_key(|delay| delay.unwrap_or(i64::MAX));
             let median = delays[delays.len() / 2];
             println!(
-                "{name}, loss of {:.0} %: found {found} of {}, median {median:?} days",
+                "{name}, loss of {:.0} %: found {found} of {}, median {median:?} days; missed: {missed:?}",
                 100.0 * share,
                 delays.len()
             );
