@@ -115,7 +115,11 @@ fn the_course_has_a_row_per_quantity_and_day_with_the_numbers_of_the_judgements(
     let rows: Vec<Vec<&str>> = rows.map(|row| row.split(',').collect()).collect();
     assert_eq!(rows.len(), 2 * DAYS as usize);
     let quantities: Vec<&str> = rows.iter().map(|row| row[column("quantity")]).collect();
-    assert!(quantities[..DAYS as usize].iter().all(|of| *of == "first-bending"));
+    assert!(
+        quantities[..DAYS as usize]
+            .iter()
+            .all(|of| *of == "first-bending")
+    );
     let stdout = text(&output.stdout);
     let lines = stdout
         .lines()
@@ -130,7 +134,10 @@ fn the_course_has_a_row_per_quantity_and_day_with_the_numbers_of_the_judgements(
         let number = |name: &str| row[column(name)].parse::<f64>().ok();
         assert_eq!(number("measured"), line["means"]["value"].as_f64());
         assert_eq!(number("expected"), line["expectation"]["expected"].as_f64());
-        assert_eq!(number("condition/deck"), line["means"]["conditions"][0].as_f64());
+        assert_eq!(
+            number("condition/deck"),
+            line["means"]["conditions"][0].as_f64()
+        );
         assert_eq!(number("loss"), line["finding"]["loss"].as_f64());
         expected += i32::from(number("expected").is_some());
     }

@@ -10,9 +10,9 @@ mod support;
 
 use serde_json::Value;
 use spandrel_bus::{
-    Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay, JudgementState,
-    LiveToken, MonitoringDisplay, MonitoringState, Name, Pace, ParameterDisplay, Service, Status,
-    Subscription,
+    Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay,
+    JudgementState, LiveToken, MonitoringDisplay, MonitoringState, Name, Pace, ParameterDisplay,
+    Service, Status, Subscription,
 };
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -192,6 +192,28 @@ impl Others {
         course
     }
 
+    /// Runs `spandrel annotate`, and returns what it prints.
+    fn annotate(&self, options: &[&str]) -> String {
+        let mut command = support::spandrel("annotate");
+        command.arg("house").args(options).args(["--who", "ada"]);
+        let root = self.site.keys().root().to_string();
+        command.args(["--root", &root, "--connect", self.site.endpoint()]);
+        Process::start(&mut command).wait().expect_code(0).stdout
+    }
+
+    /// Waits for a state of the storey.
+    async fn state_where(&self, what: &str, is_it: impl Fn(&JudgementDisplay) -> bool) {
+        within(what, async {
+            loop {
+                let (_, display) = self.judgements.messages().recv_async().await.unwrap();
+                if display.quantity.as_str() == "storey-1" && is_it(&display) {
+                    return;
+                }
+            }
+        })
+        .await;
+    }
+
     /// Returns the course by `spandrel judge --series` of the storey, without the last day, which is
     /// not over.
     fn offline_course(&self) -> String {
@@ -199,7 +221,11 @@ impl Others {
         let days = self.site.folder().join("days.csv");
         let mut command = support::spandrel("judge");
         command.arg(self.site.structure_file()).arg("--series");
-        command.arg(series).arg("--course").arg(&days);
+        command.arg(&series).arg("--course").arg(&days);
+        let annotations = series.with_file_name("judge-annotations.jsonl");
+        if annotations.exists() {
+            command.arg("--annotations").arg(annotations);
+        }
         Process::start(&mut command).wait().expect_code(0);
         let text = std::fs::read_to_string(days).unwrap();
         let mut lines: Vec<&str> = text
@@ -463,6 +489,66 @@ async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit()
     others.wait_for(FIRST_DAY + 508).await; // at least one repetition
     notify.stop().expect_code(0);
     assert!(bodies.try_recv().is_err());
+    judge.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill() {
+    let loss = StiffnessLoss {
+        share: 0.15,
+        day: 45,
+    };
+    let rows = seasons(1, 100, Some(loss));
+    let mut others = Others::start(house(SHORT)).await;
+    let judge = others.judge().await;
+    others.publish(&rows, 0..70, |deck| deck).await;
+    assert_eq!(others.last().word(), "lasting-loss");
+    let told = others.annotate(&["inspection", "crack", "--seen", "--quantity", "storey-1"]);
+    assert_eq!(
+        told,
+        "storey-1: inspection: lasting change seen, ada: crack\n"
+    );
+    let is_seen = |display: &JudgementDisplay| {
+        let seen = display.seen.as_ref();
+        seen.is_some_and(|seen| seen.who == "ada" && seen.text == "crack")
+    };
+    others.state_where("a change that was seen", is_seen).await;
+
+    // The bearings were replaced on day 50, which is past.
+    let from = ((FIRST_DAY + 50) * 86_400 + 43_200).to_string();
+    let new = ["repair", "new bearings", "--new-reference", "--from", &from];
+    others.annotate(&new);
+    let is_new = |display: &JudgementDisplay| {
+        display.change.is_none() && display.state == JudgementState::Learning
+    };
+    others.state_where("a new reference", is_new).await;
+    let course = others.course("").await;
+    assert_eq!(course.annotations.len(), 2);
+    assert!(course.rows[49].change.is_some());
+    assert_eq!((course.rows[50].change, course.rows[50].epochs), (None, 2));
+    assert_eq!(course.csv(), others.offline_course());
+
+    judge.kill();
+    let judge = others.judge().await;
+    assert_eq!(others.course("").await, course);
+    others.publish(&rows, 70..100, |deck| deck).await;
+    let course = others.course("").await;
+    assert_eq!(course.csv(), others.offline_course());
+    assert_eq!(course.rows.last().unwrap().state, JudgementState::Judged);
+    assert_eq!(course.rows.last().unwrap().change, None);
+    let events = others.events.messages().drain();
+    let noted: Vec<(String, String)> = events
+        .filter(|(_, event)| event.kind == EventKind::Annotation)
+        .map(|(_, event)| (event.what, event.why))
+        .collect();
+    let text = |text: &str| text.to_owned();
+    assert_eq!(
+        noted,
+        [
+            (text("inspection: lasting change seen"), text("ada: crack")),
+            (text("repair: new reference"), text("ada: new bearings")),
+        ]
+    );
     judge.stop().expect_code(0);
 }
 

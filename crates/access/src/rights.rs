@@ -181,6 +181,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
                     K::Simulated,
                 ],
             ),
+            each(Right::Subscribe, &[K::Annotation]),
             each(Right::Put, &[K::Judgement]),
             each(Right::Answer, &[K::JudgementCourse]),
             of_service(Service::Judge),
@@ -241,7 +242,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         Role::Dashboard => [rights(Role::Viewer), of_service(Service::Dashboard)].concat(),
         Role::Operator => [
             rights(Role::Dashboard),
-            each(Right::Put, &[K::Acknowledge, K::Maintenance]),
+            each(Right::Put, &[K::Acknowledge, K::Maintenance, K::Annotation]),
         ]
         .concat(),
         // The publisher of a replayed or simulated record waits for its readers and queries the
@@ -306,6 +307,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Alert
         | K::Acknowledge
         | K::Maintenance
+        | K::Annotation
         | K::Progress(_)
         | K::Leader
         | K::State
@@ -360,6 +362,7 @@ mod tests {
             [
                 K::Acknowledge,
                 K::Maintenance,
+                K::Annotation,
                 K::Status(Service::Dashboard)
             ]
         );

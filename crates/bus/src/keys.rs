@@ -279,6 +279,12 @@ impl Keys {
         self.all(KeyFamily::Maintenance)
     }
 
+    /// Returns the key on which people annotate the structure.
+    #[must_use]
+    pub fn annotation(&self) -> String {
+        self.all(KeyFamily::Annotation)
+    }
+
     /// Returns the key of the liveliness token that marks the samples of one node as simulated.
     #[must_use]
     pub fn simulated(&self, node: &Name) -> String {
@@ -496,6 +502,8 @@ pub enum KeyFamily {
     Acknowledge,
     /// [`Keys::maintenance`]
     Maintenance,
+    /// [`Keys::annotation`]
+    Annotation,
     /// [`Keys::simulated`], one per node
     Simulated,
     /// [`Keys::progress`] of this service
@@ -527,7 +535,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 31] = [
+    const WITHOUT_SERVICE: [Self; 32] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -552,6 +560,7 @@ impl KeyFamily {
         Self::Alert,
         Self::Acknowledge,
         Self::Maintenance,
+        Self::Annotation,
         Self::Simulated,
         Self::Leader,
         Self::State,
@@ -590,6 +599,7 @@ impl KeyFamily {
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
             Self::Maintenance => "maintenance",
+            Self::Annotation => "annotation",
             Self::Simulated => "simulated/{of}",
             Self::Progress(_) => "progress/{service}",
             Self::Status(_) => "status/{service}/{of}",
@@ -809,6 +819,7 @@ mod tests {
             (keys.leader(&n), "spandrel/tower/leader/identify/storey-1"),
             (keys.state(), "spandrel/tower/@state"),
             (keys.maintenance(), "spandrel/tower/maintenance"),
+            (keys.annotation(), "spandrel/tower/annotation"),
             (keys.simulated(&n), "spandrel/tower/simulated/storey-1"),
             (keys.all_simulated(), "spandrel/tower/simulated/*"),
         ];

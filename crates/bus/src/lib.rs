@@ -88,20 +88,21 @@ pub use keys::{DEFAULT_ROOT, KeyFamily, Keys, Service, Topic, parse_key};
 pub use leader::{Claim, Claims};
 pub use live::{LiveToken, LiveWatch};
 pub use message::{
-    Acknowledgement, AlertMessage, AlertState, Block, CaughtUp, ChangeKind, ChannelFitDisplay,
-    ChannelHealthDisplay, ChannelMonitoring, ChannelState, ClassCalibration, ClassPlausibility,
-    ConditionDisplay, CourseCondition, CourseDelay, CourseReference, CourseRow, CredibleInterval, DayExpectation, DecodeError, Description, EncodeError,
-    Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Excluded, FaultKind, FeedbackMessage,
-    FitDisplay, FitReason, FitReasons, FitVerdict, Format, FrameBlock, Header, HistoryLog,
-    HistoryRows, HistorySpan, InstrumentState, InstrumentStatus, JudgementCourse, JudgementDisplay, JudgementState,
-    LastingChange, Load, LocalDensity, LocalMessage, LossDisplay, MAX_CHANNELS, MAX_ITEMS,
-    MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, MAX_SOURCE_BYTES, Maintenance, Malformed, MaskedSpan,
-    Message, ModelClassDisplay, MonitoringDisplay, MonitoringState, MotionNumbers, NodeClock,
-    NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace,
-    ParameterDisplay, ParameterMonitoring, Phase, Progress, REFERENCE_IS_LEARNT,
-    RoundedProbability, SampleBlock, ScreenedChannel, SensorHealthDisplay, Soundness, Standing,
-    StateMessage, Status, StreamState, ToldMotion, ToldSamples, UndecidedBecause, fit_in_words,
-    is_without_date, reported_pace,
+    Acknowledgement, AlertMessage, AlertState, Annotation, AnnotationEffect, AnnotationKind, Block,
+    CaughtUp, ChangeKind, ChangeSeen, ChannelFitDisplay, ChannelHealthDisplay, ChannelMonitoring,
+    ChannelState, ClassCalibration, ClassPlausibility, ConditionDisplay, CourseCondition,
+    CourseDelay, CourseReference, CourseRow, CredibleInterval, DayExpectation, DecodeError,
+    Description, EncodeError, Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Excluded,
+    FaultKind, FeedbackMessage, FitDisplay, FitReason, FitReasons, FitVerdict, Format, FrameBlock,
+    Header, HistoryLog, HistoryRows, HistorySpan, InstrumentState, InstrumentStatus,
+    JudgementCourse, JudgementDisplay, JudgementState, LastingChange, Load, LocalDensity,
+    LocalMessage, LossDisplay, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES, MAX_MESSAGE_BYTES,
+    MAX_SOURCE_BYTES, Maintenance, Malformed, MaskedSpan, Message, ModelClassDisplay,
+    MonitoringDisplay, MonitoringState, MotionNumbers, NodeClock, NodeDisplay, NodeHealth,
+    NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
+    ParameterMonitoring, Phase, Progress, REFERENCE_IS_LEARNT, RoundedProbability, SampleBlock,
+    ScreenedChannel, SensorHealthDisplay, Soundness, Standing, StateMessage, Status, StreamState,
+    ToldMotion, ToldSamples, UndecidedBecause, fit_in_words, is_without_date, reported_pace,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

@@ -2,6 +2,7 @@
 
 mod acknowledgement;
 mod alert;
+mod annotation;
 mod block;
 mod bounded;
 mod caught_up;
@@ -39,6 +40,7 @@ use serde::de::DeserializeOwned;
 
 pub use acknowledgement::Acknowledgement;
 pub use alert::{AlertMessage, AlertState};
+pub use annotation::{Annotation, AnnotationEffect, AnnotationKind};
 pub use block::{Block, StreamState};
 pub use caught_up::CaughtUp;
 pub use condition::ConditionDisplay;
@@ -54,7 +56,9 @@ pub use fit::{
 pub use frames::FrameBlock;
 pub use header::{Header, MAX_SOURCE_BYTES};
 pub use history::{HistoryLog, HistoryRows, HistorySpan};
-pub use judgement::{ChangeKind, DayExpectation, JudgementDisplay, JudgementState, LastingChange};
+pub use judgement::{
+    ChangeKind, ChangeSeen, DayExpectation, JudgementDisplay, JudgementState, LastingChange,
+};
 pub use local::{
     LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,
     ToldSamples,

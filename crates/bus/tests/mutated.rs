@@ -12,13 +12,13 @@
 
 use proptest::prelude::*;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, ConditionDisplay, Description,
-    Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
-    Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalDensity, LocalMessage, LossDisplay,
-    MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay,
-    MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    Progress, SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
-    ToldMotion, ToldSamples,
+    Acknowledgement, AlertMessage, Annotation, Block, CaughtUp, ChannelState, ConditionDisplay,
+    Description, Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay,
+    Format, FrameBlock, Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay,
+    LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message,
+    ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
+    OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel,
+    SensorHealthDisplay, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -309,12 +309,16 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"conditions\":[{\"name\":\"deck\",\"unit\":\"degC\"}],\"false_alarms_per_year\":0.1,\"loss\":0.02,\
              \"commissioning_days\":365,\"reference\":{\"from_ns\":0,\"to_ns\":9,\"coverage\":0.95,\"scatter\":0.001,\
              \"knows_frost\":true,\"promised_per_year\":0.1,\"achieved_per_year\":0.05,\
-             \"delays\":[{\"loss\":0.05,\"median_days\":6,\"found_in_a_month\":0.99}]},\"kept_from_ns\":0,\
+             \"delays\":[{\"loss\":0.05,\"median_days\":6,\"found_in_a_month\":0.99}]},\"kept_from_ns\":0,\"annotations\":[],\
              \"rows\":[{\"day_ns\":0,\"state\":\"judged\",\"change\":null,\"sentence\":\"storey-2 shows no lasting change.\",\
              \"epochs\":96,\"measured\":0.95,\"conditions\":[14.74],\"expectation\":{\"measured\":0.95,\"expected\":1.0,\
              \"interval\":{\"level\":0.95,\"low\":0.9,\"high\":1.1},\"residual\":-1.0,\"ln_evidence\":1.0,\
              \"ln_threshold\":8.2,\"cusum_share\":0.1}},{\"day_ns\":86400000000000,\"state\":\"no-statement\",\
              \"change\":null,\"sentence\":\"\",\"epochs\":0,\"measured\":null,\"conditions\":[],\"expectation\":null}]}",
+        ),
+        text::<Annotation>(
+            "{\"structure\":\"demo\",\"quantity\":\"storey-2\",\"time_ns\":9,\"from_ns\":5,\"to_ns\":8,\"kind\":\"repair\",\
+             \"effect\":\"new-reference\",\"who\":\"ada\",\"text\":\"new bearings\"}",
         ),
     ]
 }
@@ -425,7 +429,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 30);
+    assert_eq!(messages.len(), 31);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -456,7 +460,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_valid_message(
-        which in 0usize..30,
+        which in 0usize..31,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -465,7 +469,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..30, to in 0usize..30) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..31, to in 0usize..31) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

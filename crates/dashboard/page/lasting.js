@@ -43,9 +43,12 @@ export class LastingTab {
     this.plots = [values, residualPlot(this.points, this.span), evidencePlot(this.points, this.span), this.scatter];
     values.element.classList.add("is-wide");
     this.trouble = h("p", { class: "empty", role: "status", hidden: true });
+    this.notes = h("ul", { class: "notes" });
+    this.noted = h("section", { class: "card noted" }, h("h3", {}, "Notes of people"), this.notes);
     const reference = h("section", { class: "card reference" }, h("h3", {}, "Reference and budget"), this.facts, this.finds);
-    const plots = h("div", { class: "plots", id: "year" }, this.plots.map(({ element }) => element), reference);
-    this.card = h("section", { class: "card judged" }, this.title, this.sentence);
+    const plots = h("div", { class: "plots", id: "year" }, this.plots.map(({ element }) => element), reference, this.noted);
+    this.seen = h("p", { class: "seen" });
+    this.card = h("section", { class: "card judged" }, this.title, this.sentence, this.seen);
     this.element = h("section", { class: "group", id: "group-lasting" }, this.list, this.card, this.ranges.element, this.trouble, plots);
     this.span.onchange(() => this.#respan());
     this.extent.onchange(() => this.scatter.dirty());
@@ -73,7 +76,7 @@ export class LastingTab {
     const judgement = judgements.find(({ quantity }) => quantity === this.chosen);
     this.#show(judgement);
     // A new day, or another service that judges, changes the course.
-    const stamp = judgement ? JSON.stringify([this.chosen, judgement.day_ns, judgement.change, judgement.state]) : null;
+    const stamp = judgement ? JSON.stringify([this.chosen, judgement.day_ns, judgement.change, judgement.seen, judgement.state]) : null;
     if (stamp === this.#known) return;
     this.#known = stamp;
     if (judgement?.day_ns != null) this.span.newest_s = noon(judgement.day_ns);
@@ -115,7 +118,9 @@ export class LastingTab {
     this.card.dataset.level = level;
     setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? "No quantity"}`);
     setText(this.sentence, judgement?.sentence ?? "The service judge has not reported yet.");
-    this.budget = judgement?.false_alarms_per_year ?? null;
+    const seen = judgement?.seen;
+    this.seen.hidden = !seen;
+    if (seen) setText(this.seen, `● Seen by ${seen.who} on ${dateOf(seen.time_ns / 1e9)}: ${seen.text}`);
   }
 
   /** Shows what the reference promises, or what is missing. */
@@ -124,6 +129,9 @@ export class LastingTab {
     this.facts.replaceChildren(...(course ? facts(course).map(fact) : []));
     const delays = course?.reference?.delays ?? [];
     const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? "mostly missed" : `${days} days`), h("td", {}, percent(share, 0)));
+    const notes = (course?.annotations ?? []).toReversed();
+    this.noted.hidden = notes.length === 0;
+    this.notes.replaceChildren(...notes.map(note));
     this.finds.hidden = delays.length === 0;
     this.delays.replaceChildren(...delays.map(row));
   }
@@ -137,6 +145,16 @@ export class LastingTab {
     this.points.forget();
     this.plots.forEach((plot) => plot.restart());
   }
+}
+
+/** What the effects of an annotation are called. */
+const EFFECTS = { seen: "lasting change seen", "new-reference": "new reference" };
+
+/** Returns the line of an annotation. */
+function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
+  const end = to === null ? "" : ` to ${dateOf(to / 1e9)}`;
+  const what = EFFECTS[effect] ? `${kind}, ${EFFECTS[effect]}` : kind;
+  return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what), ` ${text} (${who})`);
 }
 
 /** Returns the facts of a course: titles and texts. */

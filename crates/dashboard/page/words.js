@@ -233,10 +233,11 @@ export function conditionWords({ name, unit: of, value, age_s, stale, implausibl
 const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm" };
 
 /** Returns the level, sign and words of the judgement of a quantity. */
-export function judgementWords({ word, sentence, change, epoch_ns: epoch, measured }) {
-  const level = JUDGEMENTS[word] ?? "learning";
+export function judgementWords({ word, sentence, change, seen, epoch_ns: epoch, measured }) {
+  const level = seen ? "notice" : (JUDGEMENTS[word] ?? "learning");
   const parts = [`${LEVELS[level].sign} ${word}: ${sentence}`];
   if (change) parts.push(`Found on ${new Date(change.found_ns / 1e6).toISOString().slice(0, 10)}.`);
+  if (seen) parts.push(`Seen by ${seen.who}: ${seen.text}.`);
   parts.push(epoch === null ? "No epoch yet." : `Last epoch ${time(epoch / 1e9)}.`);
   if (!measured) parts.push("Contains replayed or simulated samples.");
   return { level, text: parts.join(" ") };

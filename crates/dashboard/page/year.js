@@ -95,6 +95,12 @@ function words(row) {
   return `measured ${number(row.measured)} · expected ${number(expected)} [${number(interval.low)}, ${number(interval.high)}]${kind}`;
 }
 
+/** Returns the marks of what people have noted. */
+function noted(course) {
+  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? "⟲ new reference" : `✎ ${kind}`}`, colour: "--notice" });
+  return (course?.annotations ?? []).map(mark);
+}
+
 /** Settings that all plots over the days share. */
 function overDays(points, plot) {
   const at = (data, index) => points.course?.byTime.get(data[0][index]);
@@ -126,7 +132,7 @@ export function valuePlot(points, span) {
       return [low - room, high + room];
     },
     paint: (u) => paint(u, Object.values(KINDS), 4),
-    marks: () => [found, begun, learnt].flatMap((of) => of(points.course)),
+    marks: () => [found, begun, learnt, noted].flatMap((of) => of(points.course)),
     readout: words,
   });
   return new Plot(plot, points, span);

@@ -279,7 +279,8 @@ impl Store {
                 | EventKind::HistoryBack
                 | EventKind::StateLost
                 | EventKind::StateBack
-                | EventKind::LastingChange => false,
+                | EventKind::LastingChange
+                | EventKind::Annotation => false,
             };
         }
         self.events.push_front(event);

@@ -71,6 +71,7 @@ pub(crate) fn lasting_loss(quantity: &str) -> JudgementDisplay {
             loss: 0.05,
             interval: interval(0.04, 0.06),
         }),
+        seen: None,
         sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
         expectation: Some(DayExpectation {
             measured: 0.95,

@@ -13,6 +13,15 @@ use serde::{Deserialize, Serialize};
 /// Times outside these years are mistakes (s since 1970-01-01 UTC).
 const YEARS_S: (f64, f64) = (-2_208_988_800.0, 7_258_118_400.0);
 
+/// A moment from which quantities have a new reference.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NewReference {
+    /// The moment (s since 1970-01-01 UTC).
+    pub time_s: f64,
+    /// Index of the quantity in the settings, or `None` for all quantities.
+    pub quantity: Option<usize>,
+}
+
 /// Judges the quantities of one structure.
 ///
 /// It has no clock: a day ends with the first epoch of a later day, or with [`Judge::finish`]. It
@@ -25,6 +34,8 @@ pub struct Judge {
     watches: Vec<ConditionWatch>,
     absence: Option<Absence>,
     courses: Vec<Course>,
+    /// New references that no epoch has reached, in the order of their moments.
+    awaited: Vec<NewReference>,
 }
 
 impl Judge {
@@ -40,6 +51,7 @@ impl Judge {
             watches: vec![ConditionWatch::default(); settings.conditions.len()],
             absence: None,
             courses: settings.quantities.iter().map(|_| Course::new()).collect(),
+            awaited: Vec::new(),
             settings,
         })
     }
@@ -48,6 +60,24 @@ impl Judge {
     #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.settings
+    }
+
+    /// Starts a reference anew with the first later epoch at or after a moment.
+    ///
+    /// The quantity forgets its commissioning, its change, and the epochs of the same day before the
+    /// moment. Epochs that were handled before count as before the moment.
+    pub fn start_anew(&mut self, new: NewReference) {
+        let place = self
+            .awaited
+            .partition_point(|awaited| awaited.time_s <= new.time_s);
+        self.awaited.insert(place, new);
+    }
+
+    /// Returns `true` if the next epochs start a new reference of the quantity with this index.
+    #[must_use]
+    pub fn awaits_reference(&self, quantity: usize) -> bool {
+        let concerns = |new: &NewReference| new.quantity.is_none_or(|index| index == quantity);
+        self.awaited.iter().any(concerns)
     }
 
     /// Takes an epoch. Adds the judgements of a day to `judgements` if the epoch begins a later one.
@@ -64,6 +94,12 @@ impl Judge {
         let day = (epoch.time_s / DAY_S).floor() as i64;
         if let Some(open) = self.day.filter(|open| day > *open) {
             self.end_day(open, judgements);
+        }
+        while let Some(new) = self.awaited.first().copied()
+            && new.time_s <= epoch.time_s
+        {
+            self.awaited.remove(0);
+            self.forget(new.quantity);
         }
         self.day = Some(day);
         self.last_s = Some(epoch.time_s);
@@ -92,6 +128,12 @@ impl Judge {
         quantities
             .map(|(quantity, course)| QuantityReport::new(&quantity.name, course))
             .collect()
+    }
+
+    fn forget(&mut self, quantity: Option<usize>) {
+        let courses = self.courses.iter_mut().enumerate();
+        let concerned = courses.filter(|(index, _)| quantity.is_none_or(|of| of == *index));
+        concerned.for_each(|(_, course)| *course = Course::new());
     }
 
     fn check(&self, epoch: &Epoch) -> Result<(), JudgeError> {

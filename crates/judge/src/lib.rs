@@ -89,7 +89,7 @@ mod report;
 pub use calibration::{Delay, Performance};
 pub use epoch::Epoch;
 pub use error::JudgeError;
-pub use judge::Judge;
+pub use judge::{Judge, NewReference};
 pub use judgement::{Absence, Change, DayMeans, Expectation, Finding, Judgement, Novelty, State};
 pub use reference::Missing;
 pub use report::{QuantityReport, ReferenceReport};

@@ -10,7 +10,9 @@
 mod support;
 
 use proptest::prelude::*;
-use spandrel_judge::{Absence, Condition, ConditionKind, Epoch, Judge, JudgeError, State};
+use spandrel_judge::{
+    Absence, Condition, ConditionKind, Epoch, Judge, JudgeError, Judgement, NewReference, State,
+};
 use support::{describe, first_alarm, judge, settings};
 
 const EPOCH_S: f64 = 6.0 * 3600.0;
@@ -242,4 +244,68 @@ fn the_state_of_three_thermometers_stays_below_64_kilobytes() {
     }
     println!("largest state: {largest} bytes");
     assert!(largest < 64 * 1024, "{largest} bytes");
+}
+
+#[test]
+fn a_new_reference_is_that_of_a_judge_that_starts_at_its_moment() {
+    let settings = || settings(&["f1", "f2"], &["deck"], 95);
+    let mut series = epochs(200);
+    for epoch in &mut series {
+        let value = epoch.quantities[0];
+        epoch.quantities.push(value);
+    }
+    let moment_s = 60.5 * 86_400.0;
+    let (_, unchanged) = judge(settings(), &series);
+    let later: Vec<Epoch> = series
+        .iter()
+        .filter(|epoch| epoch.time_s >= moment_s)
+        .cloned()
+        .collect();
+    let (_, fresh) = judge(settings(), &later);
+    let mut state = Judge::new(settings()).unwrap();
+    state.start_anew(NewReference {
+        time_s: moment_s,
+        quantity: Some(1),
+    });
+    assert!(!state.awaits_reference(0) && state.awaits_reference(1));
+    let mut judgements = Vec::new();
+    for epoch in &series {
+        state.handle(epoch, &mut judgements).unwrap();
+    }
+    state.finish(&mut judgements);
+    assert!(!state.awaits_reference(1));
+    let of = |all: &[Judgement], name: &str, from: i64| -> Vec<Judgement> {
+        let days = all.iter().filter(|day| day.quantity == name);
+        days.filter(|day| day.day >= from).cloned().collect()
+    };
+    assert_eq!(of(&judgements, "f1", 0), of(&unchanged, "f1", 0));
+    assert_eq!(of(&judgements, "f2", 60), of(&fresh, "f2", 60));
+    let before = of(&judgements, "f2", 0);
+    assert_eq!(before[..60], of(&unchanged, "f2", 0)[..60]);
+    // The morning of the day of the moment does not count.
+    assert_eq!(before[60].means.as_ref().unwrap().epochs, 2);
+}
+
+#[test]
+fn a_new_reference_clears_the_change() {
+    let mut series = epochs(200);
+    for epoch in series
+        .iter_mut()
+        .filter(|epoch| epoch.time_s >= 130.0 * 86_400.0)
+    {
+        epoch.quantities[0] = epoch.quantities[0].map(|value| 0.95_f64.sqrt() * value);
+    }
+    let mut state = Judge::new(settings(&["f1"], &["deck"], 100)).unwrap();
+    state.start_anew(NewReference {
+        time_s: 160.0 * 86_400.0,
+        quantity: None,
+    });
+    let mut judgements = Vec::new();
+    for epoch in &series {
+        state.handle(epoch, &mut judgements).unwrap();
+    }
+    let on = |day: usize| &judgements[day];
+    assert!(on(159).finding.is_some());
+    assert_eq!(on(160).finding, None);
+    assert_eq!(on(160).state, State::Learning { days_left: 99 });
 }

@@ -1,8 +1,9 @@
 //! The course of a quantity: its judgements day by day, in the words of the bus.
 
 use spandrel_bus::{
-    ChangeKind, CourseCondition, CourseDelay, CourseReference, CourseRow, CredibleInterval,
-    DayExpectation, JudgementCourse, JudgementState, LastingChange, Name, SpanQuery,
+    Annotation, ChangeKind, CourseCondition, CourseDelay, CourseReference, CourseRow,
+    CredibleInterval, DayExpectation, JudgementCourse, JudgementState, LastingChange, Name,
+    SpanQuery,
 };
 use spandrel_judge::{
     Change, Condition, ConditionKind, Delay, Expectation, Finding, Judgement, QuantityKind,
@@ -30,6 +31,7 @@ pub(crate) struct Subject<'s> {
     pub(crate) quantity: &'s Name,
     pub(crate) kind: QuantityKind,
     pub(crate) conditions: &'s [Name],
+    pub(crate) annotations: &'s [Annotation],
     pub(crate) settings: &'s Settings,
     pub(crate) reference: Option<ReferenceReport>,
 }
@@ -53,9 +55,11 @@ impl Course {
             quantity,
             kind,
             conditions,
+            annotations,
             settings,
             reference,
         } = subject;
+        let annotations = annotations.iter().filter(|of| of.covers(quantity));
         let most = query.points.min(JudgementCourse::MOST_ROWS);
         let first = |limit_ns: i64| self.days.partition_point(|of| start_ns(of.day) < limit_ns);
         let end = first(query.to_ns.saturating_add(1));
@@ -82,6 +86,7 @@ impl Course {
             commissioning_days: settings.commissioning_days,
             reference: reference.map(course_reference),
             kept_from_ns: self.days.front().map(|of| start_ns(of.day)),
+            annotations: annotations.cloned().collect(),
             rows: rows.collect(),
         }
     }
@@ -224,6 +229,7 @@ mod tests {
             quantity: &pier,
             kind: QuantityKind::Stiffness,
             conditions: &conditions,
+            annotations: &[],
             settings: &settings,
             reference: None,
         };

@@ -145,6 +145,11 @@ impl EpochLog {
         }
     }
 
+    /// Returns `true` if epochs wait for a disk that cannot be written.
+    pub(crate) fn is_behind(&self) -> bool {
+        !self.waiting.is_empty() || self.lost > 0
+    }
+
     /// Returns the counts of failed writes and of lost epochs.
     pub(crate) fn drops(&self) -> impl Iterator<Item = (String, u64)> {
         let lost = (self.lost > 0).then(|| ("epochs-not-kept".to_owned(), self.lost));

@@ -35,6 +35,14 @@ pub enum JudgingError {
         /// The reason.
         source: std::io::Error,
     },
+    /// The file of the annotations cannot be read.
+    #[error("{}: cannot read the annotations", path.display())]
+    Annotations {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: std::io::Error,
+    },
     /// A line of the file passes its check and is not an epoch.
     #[error(transparent)]
     Record(#[from] RecordError),

@@ -2,8 +2,11 @@
 
 use crate::course::{Course, Subject, change, expectation, start_ns, state};
 use crate::epochs::ClosedEpoch;
-use spandrel_bus::{Event, EventKind, JudgementCourse, JudgementDisplay, Name, SpanQuery};
-use spandrel_judge::{Judge, JudgeError, Judgement, Settings, State};
+use spandrel_bus::{
+    Annotation, AnnotationEffect, ChangeSeen, Event, EventKind, JudgementCourse, JudgementDisplay,
+    LastingChange, Name, SpanQuery,
+};
+use spandrel_judge::{Judge, JudgeError, Judgement, NewReference, Settings, State};
 
 /// The judge of one structure, and its judgements.
 #[derive(Debug, Clone)]
@@ -13,6 +16,8 @@ pub(crate) struct Judging {
     quantities: Vec<JudgedQuantity>,
     /// Names of the conditions, in the order of the settings.
     conditions: Vec<Name>,
+    /// What people have noted.
+    annotations: Vec<Annotation>,
     /// Middle of the last epoch (ns since 1970-01-01 UTC).
     epoch_ns: Option<i64>,
     epochs: u64,
@@ -49,6 +54,7 @@ impl Judging {
             judge: Judge::new(settings)?,
             quantities: quantities.collect(),
             conditions,
+            annotations: Vec::new(),
             epoch_ns: None,
             epochs: 0,
             is_measured: true,
@@ -63,6 +69,46 @@ impl Judging {
     /// Returns the number of epochs.
     pub(crate) fn epochs(&self) -> u64 {
         self.epochs
+    }
+
+    /// Returns `true` if an annotation is about this structure, and about a judged quantity if it names
+    /// one.
+    pub(crate) fn knows(&self, annotation: &Annotation) -> bool {
+        let mut quantities = self.quantities.iter();
+        let is_known = |of: &Name| quantities.any(|known| known.name == *of);
+        annotation.structure == self.structure && annotation.quantity.as_ref().is_none_or(is_known)
+    }
+
+    /// Returns `true` if an annotation starts a reference before an epoch that has been judged.
+    pub(crate) fn is_past(&self, annotation: &Annotation) -> bool {
+        let begins_s = ClosedEpoch::time_s(annotation.from_ns);
+        annotation.effect == AnnotationEffect::NewReference
+            && self
+                .epoch_ns
+                .is_some_and(|epoch_ns| begins_s <= ClosedEpoch::time_s(epoch_ns))
+    }
+
+    /// Takes an annotation. A new reference starts with the next epoch at or after its beginning.
+    pub(crate) fn annotate(&mut self, annotation: Annotation) {
+        if let Some(new) = new_reference(&annotation, self.judge.settings()) {
+            self.judge.start_anew(new);
+        }
+        self.annotations.push(annotation);
+    }
+
+    /// Returns the person who was the last to see a change.
+    fn seen(&self, quantity: &Name, change: &LastingChange) -> Option<ChangeSeen> {
+        let sees = |annotation: &&Annotation| {
+            annotation.effect == AnnotationEffect::Seen
+                && annotation.covers(quantity)
+                && annotation.time_ns >= change.found_ns
+        };
+        let annotation = self.annotations.iter().rfind(sees)?;
+        Some(ChangeSeen {
+            who: annotation.who.clone(),
+            text: annotation.text.clone(),
+            time_ns: annotation.time_ns,
+        })
     }
 
     /// Judges an epoch, and appends the changes that it reveals to `events`. Returns `true` if a day
@@ -102,12 +148,15 @@ impl Judging {
     /// Returns the state of every quantity. `time_ns` is the wall-clock time (ns since 1970-01-01
     /// UTC).
     pub(crate) fn displays(&self, time_ns: i64) -> Vec<JudgementDisplay> {
-        let display = |quantity: &JudgedQuantity| {
+        let display = |(index, quantity): (usize, &JudgedQuantity)| {
+            // What was judged before a new reference no longer holds.
             let last = quantity.course.last();
+            let last = last.filter(|_| !self.judge.awaits_reference(index));
             let judgement = match last {
                 Some(last) => last.clone(),
                 None => self.first(quantity),
             };
+            let change = judgement.finding.as_ref().map(change);
             JudgementDisplay {
                 structure: self.structure.clone(),
                 quantity: quantity.name.clone(),
@@ -117,13 +166,14 @@ impl Judging {
                 epochs: quantity.epochs,
                 measured: self.is_measured,
                 state: state(&judgement.state),
-                change: judgement.finding.as_ref().map(change),
+                seen: change.and_then(|change| self.seen(&quantity.name, &change)),
+                change,
                 sentence: judgement.sentence(),
                 expectation: judgement.expectation.as_ref().map(expectation),
                 false_alarms_per_year: self.judge.settings().false_alarms_per_year,
             }
         };
-        self.quantities.iter().map(display).collect()
+        self.quantities.iter().enumerate().map(display).collect()
     }
 
     /// Returns what is known before the end of the first day.
@@ -151,12 +201,33 @@ impl Judging {
             quantity,
             kind: settings.quantities.get(index)?.kind,
             conditions: &self.conditions,
+            annotations: &self.annotations,
             settings,
             reference: self.judge.report().into_iter().nth(index)?.reference,
         };
         let course = &self.quantities.get(index)?.course;
         Some(course.answer(subject, query))
     }
+}
+
+/// Returns the new reference that an annotation starts, if it starts one of a judged quantity.
+#[must_use]
+pub fn new_reference(annotation: &Annotation, settings: &Settings) -> Option<NewReference> {
+    if annotation.effect != AnnotationEffect::NewReference {
+        return None;
+    }
+    let index = |of: &Name| {
+        let mut quantities = settings.quantities.iter();
+        quantities.position(|quantity| quantity.name == of.as_str())
+    };
+    let quantity = match &annotation.quantity {
+        Some(of) => Some(index(of)?),
+        None => None,
+    };
+    Some(NewReference {
+        time_s: ClosedEpoch::time_s(annotation.from_ns),
+        quantity,
+    })
 }
 
 fn event(structure: &Name, judgement: &Judgement, time_ns: i64) -> Option<Event> {

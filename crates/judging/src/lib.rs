@@ -8,9 +8,13 @@
 //! with the same reader, so both give the same judgements, bit for bit.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
+//! The service takes annotations of people. One with a new reference makes the judge forget what it
+//! has learnt before. Annotations are in a file beside the epochs.
+//!
 //! - [`course_row`]: a judgement as a row of the course of its quantity
 //! - `judging`: closed epochs in, judgements and events out
-//! - `epoch_log`: the file of the epochs
+//! - `epoch_log`, `annotations`: the files of the epochs and of the annotations
+//! - [`new_reference`], [`read_annotations`]: the same for a series offline
 //! - [`JudgeService`], [`JudgePlanned`]: the service
 //!
 //! The maths is in `spandrel-judge`. For rules on single estimates, use `spandrel-alert`.
@@ -19,6 +23,7 @@ mod course;
 mod epochs;
 mod judging;
 
+mod annotations;
 mod epoch_log;
 
 mod error;
@@ -27,6 +32,8 @@ mod service;
 #[cfg(test)]
 mod testing;
 
+pub use annotations::read as read_annotations;
 pub use course::course_row;
 pub use error::JudgingError;
+pub use judging::new_reference;
 pub use service::{JudgePlanned, JudgeService};

@@ -1,12 +1,14 @@
 //! Connects the judgement of one structure to the bus.
 
+use crate::annotations::{AnnotationLog, Refusal};
 use crate::epoch_log::EpochLog;
 use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, Sources};
 use crate::error::JudgingError;
 use crate::judging::Judging;
 use spandrel_bus::{
-    BoxedFuture, DisplayPublisher, Event, JudgementDisplay, KeyFamily, Keys, LiveToken, LiveWatch,
-    Name, Pace, Question, Questions, Service, SpanQuery, parse_key, reported_pace,
+    Annotation, BoxedFuture, DisplayPublisher, Event, EventKind, JudgementDisplay, KeyFamily, Keys,
+    LiveToken, LiveWatch, Name, Pace, Question, Questions, Service, SpanQuery, Subscription,
+    parse_key, reported_pace,
 };
 use spandrel_judge::QuantityKind;
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
@@ -15,6 +17,7 @@ use spandrel_service::{
 };
 use spandrel_structure::{JudgePlan, Structure};
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
@@ -35,8 +38,9 @@ const GATHER_EVERY: Duration = Duration::from_millis(50);
 /// Interval at which each state is published again, for those who have subscribed meanwhile.
 const REPEAT_EVERY: Duration = Duration::from_secs(5);
 
-/// Capacity of the queue for queries.
+/// Capacities of the queues for queries and for annotations.
 const QUESTIONS_WAITING: usize = 64;
+const ANNOTATIONS_WAITING: usize = 64;
 
 /// What the service of one structure needs to start.
 #[derive(Clone, Debug)]
@@ -64,11 +68,14 @@ pub struct JudgeService {
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
     /// Queries for the courses of the quantities.
     questions: Questions,
+    annotations: Subscription<Annotation>,
     events: EventPublisher,
     status: StatusPublisher,
     token: LiveToken,
     /// Number of epochs that the judge has refused.
     refused: u64,
+    /// Number of annotations that were not kept.
+    not_kept: u64,
 }
 
 /// What judges epochs on a thread of its own, because a reference takes longer than an async thread
@@ -76,7 +83,19 @@ pub struct JudgeService {
 #[derive(Debug)]
 struct Bench {
     judging: Judging,
+    /// The judge before any epoch and annotation.
+    blank: Judging,
     log: Option<EpochLog>,
+    annotations: AnnotationLog,
+    /// Where epochs and annotations are kept.
+    saved: Option<Saved>,
+}
+
+/// Where the epochs of a judgement are kept.
+#[derive(Debug, Clone)]
+struct Saved {
+    folder: PathBuf,
+    plan: JudgePlan,
 }
 
 /// What a number of epochs has changed.
@@ -130,7 +149,10 @@ impl JudgeService {
                 .collect::<Result<_, _>>()?;
             let sources = sources(structure, plan)?;
             warn_without_source(structure, plan, &sources);
-            let folder = remembering.as_ref().map(|remembering| &remembering.folder);
+            let saved = remembering.as_ref().map(|remembering| Saved {
+                folder: remembering.folder.clone(),
+                plan: plan.clone(),
+            });
             let bench = tokio::task::block_in_place(|| {
                 let judging = Judging::new(
                     keys.structure().clone(),
@@ -138,7 +160,7 @@ impl JudgeService {
                     conditions(plan)?,
                     plan.settings.clone(),
                 )?;
-                Bench::open(judging, folder.map(|folder| (folder.as_path(), plan)))
+                Bench::open(judging, saved)
             })?;
             let ServiceInstance { bus, clock, .. } = instance;
             let mut topics = BTreeMap::new();
@@ -166,6 +188,9 @@ impl JudgeService {
                 questions: bus
                     .questions(keys.all_judgement_courses(), QUESTIONS_WAITING)
                     .await?,
+                annotations: bus
+                    .subscribe(keys.annotation(), ANNOTATIONS_WAITING)
+                    .await?,
                 events: EventPublisher::declare(bus, keys).await?,
                 state: StructureState::default(),
                 simulated: bus.watch_live(keys.all_simulated()).await?,
@@ -175,6 +200,7 @@ impl JudgeService {
                 token: instance.announce(Service::Judge, keys).await?,
                 keys: keys.clone(),
                 refused: 0,
+                not_kept: 0,
             })
         })
     }
@@ -261,10 +287,38 @@ impl JudgeService {
         for input in inputs {
             self.epochs.handle(input, &mut closed);
         }
-        match closed.is_empty() {
-            true => Ok(()),
-            false => self.judge(closed).await,
+        if !closed.is_empty() {
+            self.judge(closed).await?;
         }
+        self.take_annotations().await
+    }
+
+    /// Keeps what people have noted, and confirms each annotation with an event.
+    async fn take_annotations(&mut self) -> Result<(), JudgingError> {
+        while let Ok((_, annotation)) = self.annotations.messages().try_recv() {
+            let told = annotation.clone();
+            let Some(kept) = self.at_the_bench(|bench| bench.annotate(annotation)).await else {
+                return Ok(()); // an earlier call has ended the service
+            };
+            if let Err(why) = kept {
+                let (who, structure) = (&told.who, &told.structure);
+                warn!(who, %structure, %why, "an annotation is not kept");
+                self.not_kept += 1;
+                continue;
+            }
+            let subject = told.quantity.as_ref().unwrap_or(&told.structure);
+            let event = Event {
+                structure: told.structure.clone(),
+                time_ns: told.from_ns,
+                kind: EventKind::Annotation,
+                subject: subject.to_string(),
+                what: told.what(),
+                why: told.why(),
+            };
+            self.events.put(&event.legible()).await?;
+            self.put_states().await?;
+        }
+        Ok(())
     }
 
     /// Determines whether the samples are measured.
@@ -289,22 +343,9 @@ impl JudgeService {
 
     /// Saves and judges epochs, and publishes what has changed.
     async fn judge(&mut self, closed: Vec<ClosedEpoch>) -> Result<(), JudgingError> {
-        let Some(mut bench) = self.bench.take() else {
-            return Ok(()); // an earlier call has ended the service
+        let Some(outcome) = self.at_the_bench(move |bench| bench.judge(&closed)).await else {
+            return Ok(());
         };
-        let judged = tokio::task::spawn_blocking(move || {
-            let outcome = bench.judge(&closed);
-            (bench, outcome)
-        });
-        let (bench, outcome) = match judged.await {
-            Ok(judged) => judged,
-            // The supervisor restarts the service, which then reads its epochs again.
-            Err(error) => match error.try_into_panic() {
-                Ok(panic) => std::panic::resume_unwind(panic),
-                Err(_) => return Ok(()), // the runtime is shutting down
-            },
-        };
-        self.bench = Some(bench);
         self.refused += outcome.refused;
         for event in &outcome.events {
             self.events.put(event).await?;
@@ -312,6 +353,29 @@ impl JudgeService {
         match outcome.is_day_over {
             true => self.put_states().await,
             false => Ok(()),
+        }
+    }
+
+    /// Works on a thread that may block. Returns `None` if an earlier call has ended the service.
+    async fn at_the_bench<T: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut Bench) -> T + Send + 'static,
+    ) -> Option<T> {
+        let mut bench = self.bench.take()?;
+        let worked = tokio::task::spawn_blocking(move || {
+            let outcome = work(&mut bench);
+            (bench, outcome)
+        });
+        match worked.await {
+            Ok((bench, outcome)) => {
+                self.bench = Some(bench);
+                Some(outcome)
+            }
+            // The supervisor restarts the service, which then reads its epochs again.
+            Err(error) => match error.try_into_panic() {
+                Ok(panic) => std::panic::resume_unwind(panic),
+                Err(_) => None, // the runtime is shutting down
+            },
         }
     }
 
@@ -339,6 +403,9 @@ impl JudgeService {
         if self.refused > 0 {
             drops.insert("refused-epochs".to_owned(), self.refused);
         }
+        if self.not_kept > 0 {
+            drops.insert("annotations-not-kept".to_owned(), self.not_kept);
+        }
         let report = Report {
             done: bench.judging.epochs(),
             processed_ns: self.epochs.newest_ns(),
@@ -351,25 +418,58 @@ impl JudgeService {
 
 impl Bench {
     /// Judges the epochs of the file in a folder, if there is a folder.
-    fn open(
-        mut judging: Judging,
-        saved: Option<(&std::path::Path, &JudgePlan)>,
-    ) -> Result<Self, JudgingError> {
-        let Some((folder, plan)) = saved else {
-            return Ok(Self { judging, log: None });
+    fn open(blank: Judging, saved: Option<Saved>) -> Result<Self, JudgingError> {
+        let annotations = match &saved {
+            Some(saved) => AnnotationLog::open(&saved.folder)?,
+            None => AnnotationLog::default(),
         };
-        let mut refused = 0_u64;
-        let log = EpochLog::open(folder, plan, |closed| {
-            // The events were published when the epoch was new.
-            refused += u64::from(judging.handle(&closed, &mut Vec::new()).is_err());
-        })?;
-        if refused > 0 {
-            warn!(epochs = refused, "the judge refused epochs that were saved");
+        let mut bench = Self {
+            judging: blank.clone(),
+            blank,
+            log: None,
+            annotations,
+            saved,
+        };
+        bench.judge_again()?;
+        Ok(bench)
+    }
+
+    /// Judges the epochs of the file with all annotations.
+    fn judge_again(&mut self) -> Result<(), JudgingError> {
+        let mut judging = self.blank.clone();
+        let known = self.annotations.all().iter();
+        known.for_each(|annotation| judging.annotate(annotation.clone()));
+        if let Some(Saved { folder, plan }) = &self.saved {
+            let mut refused = 0_u64;
+            let log = EpochLog::open(folder, plan, |closed| {
+                // The events were published when the epoch was new.
+                refused += u64::from(judging.handle(&closed, &mut Vec::new()).is_err());
+            })?;
+            if refused > 0 {
+                warn!(epochs = refused, "the judge refused epochs that were saved");
+            }
+            self.log = Some(log);
         }
-        Ok(Self {
-            judging,
-            log: Some(log),
-        })
+        self.judging = judging;
+        Ok(())
+    }
+
+    /// Keeps an annotation. If it starts a reference in the past, the epochs since then are judged
+    /// again, as after a restart.
+    fn annotate(&mut self, annotation: Annotation) -> Result<(), Refusal> {
+        if !self.judging.knows(&annotation) {
+            return Err(Refusal::Unknown);
+        }
+        let is_again = self.saved.is_some() && self.judging.is_past(&annotation);
+        if is_again && self.log.as_ref().is_some_and(EpochLog::is_behind) {
+            return Err(Refusal::Behind);
+        }
+        self.annotations.append(&annotation)?;
+        match is_again {
+            true => self.judge_again()?,
+            false => self.judging.annotate(annotation),
+        }
+        Ok(())
     }
 
     /// Saves each epoch before it is judged, so that a restart judges it as well.

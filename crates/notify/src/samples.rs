@@ -116,6 +116,7 @@ fn judgement(structure: &Name, quantity: Name, interval: CredibleInterval) -> Ju
             loss: 0.12,
             interval,
         }),
+        seen: None,
         sentence: "TEST: test-part has lost 12.0 % of stiffness (made-up values).".to_owned(),
         expectation: None,
         false_alarms_per_year: 0.1,

@@ -428,6 +428,9 @@ impl Source {
         let has_room = self.judged.len() < MAX_CHANNELS || self.judged.contains_key(quantity);
         if has_room && self.judged.get(quantity) != Some(&key) {
             self.judged.insert(quantity.clone(), key);
+            if display.seen.is_some() {
+                return; // somebody knows it already
+            }
             self.changes
                 .push_back((display.clone(), now + SETTLES_AFTER));
         }

@@ -54,6 +54,7 @@ fn level(event: &Event) -> Level {
         | EventKind::SamplesBack
         | EventKind::ClockRight
         | EventKind::Maintenance
+        | EventKind::Annotation
         | EventKind::CaughtUp
         | EventKind::HistoryBack
         | EventKind::StateBack => Level::INFO,

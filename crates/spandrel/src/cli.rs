@@ -3,6 +3,7 @@
 use crate::bus_audit::Scope;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use spandrel_access::Role;
+use spandrel_bus::AnnotationKind;
 use spandrel_filter::ImportanceDensity;
 use spandrel_identify::ParticlePlan;
 use spandrel_record::{ReadOptions, TimeUnit};
@@ -91,6 +92,16 @@ pub enum Command {
                             spandrel maintenance bridge"
     )]
     Maintenance(MaintenanceArguments),
+    /// Note an inspection, a repair or another fact about a structure that is judged for lasting
+    /// change.
+    ///
+    /// The service judge keeps the note. With --new-reference, its reference starts anew.
+    #[command(
+        after_help = "Examples: spandrel annotate bridge inspection \"crack in the bearing\" --quantity pier-2 --seen\n          \
+                            spandrel annotate bridge repair \"new bearings\" --new-reference --from 2026-11-20\n          \
+                            spandrel annotate bridge traffic \"closed to trucks\" --from 2026-03-01 --to 2026-04-01"
+    )]
+    Annotate(AnnotateArguments),
     /// Serve a web page with parameters and alerts, an HTTP interface and a WebSocket.
     #[command(
         after_help = "Examples: spandrel dashboard bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
@@ -420,6 +431,43 @@ pub struct MaintenanceArguments {
     pub bus: BusArguments,
 }
 
+#[derive(Debug, Args)]
+pub struct AnnotateArguments {
+    /// Name of the structure.
+    #[arg(value_name = "STRUCTURE")]
+    pub structure: String,
+    /// Kind: inspection, repair, maintenance, weather, traffic or other.
+    #[arg(value_name = "KIND", value_parser = annotation_kind)]
+    pub kind: AnnotationKind,
+    /// The note, or the reason of a new reference.
+    #[arg(value_name = "TEXT")]
+    pub text: String,
+    /// Judged quantity [default: all of them].
+    #[arg(long, value_name = "NAME")]
+    pub quantity: Option<String>,
+    /// Beginning [default: now].
+    ///
+    /// Seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z.
+    #[arg(long, value_name = "TIME")]
+    pub from: Option<String>,
+    /// End, as for --from.
+    #[arg(long, value_name = "TIME")]
+    pub to: Option<String>,
+    /// Mark the present lasting change as seen by you.
+    #[arg(long, conflicts_with = "new_reference")]
+    pub seen: bool,
+    /// Start the reference anew at the beginning: forget the commissioning and the lasting change.
+    ///
+    /// Use it after the structure was changed on purpose. A new commissioning begins.
+    #[arg(long)]
+    pub new_reference: bool,
+    /// Your name [default: USER].
+    #[arg(long, value_name = "NAME")]
+    pub who: Option<String>,
+    #[command(flatten)]
+    pub bus: BusArguments,
+}
+
 /// Options of the web page.
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Page")]
@@ -667,6 +715,9 @@ pub struct JudgeArguments {
     /// Print one JSON object per line: every judgement of every day.
     #[arg(long)]
     pub json: bool,
+    /// Annotations of the service (judge-annotations.jsonl), for the new references in it.
+    #[arg(long, value_name = "FILE", requires = "series")]
+    pub annotations: Option<PathBuf>,
     /// Write one row per quantity and day to this CSV file.
     #[arg(long, value_name = "FILE")]
     pub course: Option<PathBuf>,
@@ -990,6 +1041,17 @@ fn positive(text: &str) -> Result<f64, String> {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         Ok(_) | Err(_) => Err("must be a positive number".to_owned()),
     }
+}
+
+/// Reads a kind of annotation.
+fn annotation_kind(text: &str) -> Result<AnnotationKind, String> {
+    AnnotationKind::from_name(text).ok_or_else(|| {
+        let names: Vec<&str> = AnnotationKind::ALL
+            .iter()
+            .map(|kind| kind.as_str())
+            .collect();
+        format!("must be one of: {}", names.join(", "))
+    })
 }
 
 fn time_unit(text: &str) -> Result<TimeUnit, String> {

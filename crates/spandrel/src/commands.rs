@@ -1,5 +1,6 @@
 //! The subcommands, each in its own file.
 
+mod annotate;
 mod baseline;
 mod bench;
 mod check;
@@ -64,6 +65,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::History(arguments) => run::one(&arguments, run::Services::HISTORY, Share::ALL),
         Command::Notify(arguments) => notify::run(&arguments),
         Command::Maintenance(arguments) => maintenance::run(&arguments),
+        Command::Annotate(arguments) => annotate::run(&arguments),
         Command::Dashboard(arguments) => dashboard::run(&arguments),
         Command::Simulate(arguments) => simulate::run(arguments),
         Command::Replay(arguments) => replay::run(arguments),

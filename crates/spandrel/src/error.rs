@@ -266,6 +266,25 @@ pub enum AppError {
         /// The time limit, s.
         within_s: u64,
     },
+    /// An option of `spandrel annotate` is not valid.
+    #[error("{option}: {found}, must be {allowed}")]
+    Annotation {
+        /// The option.
+        option: &'static str,
+        /// The value found.
+        found: String,
+        /// The allowed values.
+        allowed: &'static str,
+    },
+    /// Judge does not run, or has not kept an annotation.
+    #[error(
+        "no confirmation from judge within {within_s} s; check that it runs for this structure, and \
+         that the quantity is judged"
+    )]
+    NoAnswerOfJudge {
+        /// The time limit, s.
+        within_s: u64,
+    },
     /// No estimate arrived during a measurement.
     #[error("no estimate was received; check that the measurement is longer than 5 s")]
     NothingMeasured,
@@ -497,6 +516,7 @@ impl AppError {
             | Self::NoHistory
             | Self::NoRecipients
             | Self::Maintenance { .. }
+            | Self::Annotation { .. }
             | Self::NoStateFolder
             | Self::SyncTime { .. }
             | Self::WouldOverwrite { .. }
@@ -514,6 +534,7 @@ impl AppError {
             | Self::Diagram { .. }
             | Self::NotDelivered { .. }
             | Self::NoAnswerOfNotify { .. }
+            | Self::NoAnswerOfJudge { .. }
             | Self::Io { .. }
             | Self::Panicked { .. } => false,
         }

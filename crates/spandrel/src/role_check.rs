@@ -52,6 +52,9 @@ impl Need {
     );
     pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
     pub const MAINTAIN: Self = Self::new("mute notices", Right::Put, KeyFamily::Maintenance);
+    pub const ANNOTATE: Self = Self::new("annotate", Right::Put, KeyFamily::Annotation);
+    pub const SEE_EVENTS: Self =
+        Self::new("subscribe to events", Right::Subscribe, KeyFamily::Event);
     pub const SEE_STATUS: Self = Self::new(
         "subscribe to the status",
         Right::Subscribe,

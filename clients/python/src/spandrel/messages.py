@@ -208,6 +208,15 @@ class LastingChange:
 
 
 @dataclass(frozen=True)
+class ChangeSeen:
+    """The person who has seen a lasting change."""
+
+    who: str
+    text: str
+    time_ns: int
+
+
+@dataclass(frozen=True)
 class DayExpectation:
     """Expected value of a day, and how far the measured value is from it."""
 
@@ -241,6 +250,8 @@ class Judgement:
     sentence: str
     expectation: Optional[DayExpectation]
     false_alarms_per_year: float
+    #: The person who has seen the change, if somebody has.
+    seen: Optional[ChangeSeen] = None
 
 
 @dataclass(frozen=True)

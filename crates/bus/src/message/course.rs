@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 
 use super::{
-    DayExpectation, Format, JudgementState, LastingChange, Malformed, Message,
+    Annotation, DayExpectation, Format, JudgementState, LastingChange, Malformed, Message,
     check_count, check_finite, check_label, check_range, check_text,
 };
 use crate::name::Name;
@@ -99,12 +99,17 @@ pub struct JudgementCourse {
     pub reference: Option<CourseReference>,
     /// Start of the earliest day that is kept, ns since the Unix epoch, UTC. `None` without days.
     pub kept_from_ns: Option<i64>,
+    /// What people have noted about the quantity, in the order of the notes. It explains the days and
+    /// is not limited to the span.
+    pub annotations: Vec<Annotation>,
     /// The days of the span, in chronological order. If the reply cannot contain all, it contains the
     /// last ones.
     pub rows: Vec<CourseRow>,
 }
 
 impl JudgementCourse {
+    /// Maximum number of annotations of a structure.
+    pub const MOST_ANNOTATIONS: usize = 1000;
     /// Maximum number of rows of a reply: more than ten years, and less than 8 MiB.
     pub const MOST_ROWS: usize = 3700;
 
@@ -245,6 +250,9 @@ impl Message for JudgementCourse {
         if let Some(reference) = &self.reference {
             reference.check()?;
         }
+        let most = Self::MOST_ANNOTATIONS;
+        check_count("annotations", self.annotations.len(), 0, most)?;
+        self.annotations.iter().try_for_each(Message::check)?;
         check_count("rows", self.rows.len(), 0, Self::MOST_ROWS)?;
         let conditions = self.conditions.len();
         self.rows.iter().try_for_each(|row| row.check(conditions))
@@ -317,6 +325,7 @@ mod tests {
             commissioning_days: 365,
             reference: None,
             kept_from_ns: Some(0),
+            annotations: Vec::new(),
             rows: vec![learning, judged, absent],
         }
     }

@@ -60,6 +60,8 @@ pub enum EventKind {
     StateBack,
     /// A lasting change of a quantity was found.
     LastingChange,
+    /// A person has annotated the structure.
+    Annotation,
 }
 
 /// One event with its reason.

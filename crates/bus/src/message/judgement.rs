@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{CredibleInterval, Format, Malformed, Message, check_finite, check_range, check_text};
+use super::{
+    CredibleInterval, Format, Malformed, Message, check_finite, check_label, check_range,
+    check_text,
+};
 use crate::name::Name;
 
 /// State of a judged quantity.
@@ -95,6 +98,18 @@ pub struct LastingChange {
     pub interval: CredibleInterval,
 }
 
+/// The person who has seen a lasting change.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ChangeSeen {
+    /// Name of the person; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without control
+    /// characters.
+    pub who: String,
+    /// What the person noted.
+    pub text: String,
+    /// Time of the note, ns since the Unix epoch, UTC.
+    pub time_ns: i64,
+}
+
 /// Expected value of a day, and how far the measured value is from it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DayExpectation {
@@ -135,6 +150,9 @@ pub struct JudgementDisplay {
     pub state: JudgementState,
     /// The lasting change that has been found. It remains until the reference starts anew.
     pub change: Option<LastingChange>,
+    /// The person who has seen the change. `None` without a change, and until somebody has.
+    #[serde(default)]
+    pub seen: Option<ChangeSeen>,
     /// State and change in one sentence.
     pub sentence: String,
     /// Expected value of the last day. `None` without a reference, and for a day without data.
@@ -169,6 +187,10 @@ impl Message for JudgementDisplay {
         )?;
         if let Some(change) = &self.change {
             change.check()?;
+        }
+        if let Some(seen) = &self.seen {
+            check_label("who", &seen.who)?;
+            check_text("text", &seen.text)?;
         }
         match &self.expectation {
             Some(expectation) => expectation.check(),
@@ -233,6 +255,11 @@ mod tests {
                 loss: 0.05,
                 interval: interval(0.04, 0.06),
             }),
+            seen: Some(ChangeSeen {
+                who: "ada".to_owned(),
+                text: "crack in the bearing".to_owned(),
+                time_ns: 9,
+            }),
             sentence: "deck has lost 5 % of stiffness.".to_owned(),
             expectation: Some(DayExpectation {
                 measured: 0.95,
@@ -282,6 +309,9 @@ mod tests {
         let mut wrong = display();
         wrong.change.as_mut().unwrap().interval.level = 95.0;
         assert!(matches!(wrong.check(), Err(Malformed::Range { .. })));
+        let mut wrong = display();
+        "a\nb".clone_into(&mut wrong.seen.as_mut().unwrap().who);
+        assert!(matches!(wrong.check(), Err(Malformed::Control { .. })));
         let wrong = JudgementDisplay {
             false_alarms_per_year: -1.0,
             ..display()

@@ -90,3 +90,67 @@ fn an_epoch_out_of_order_is_refused_and_changes_nothing() {
     assert!(judging.handle(&of_day(3, 0, 1.0), &mut Vec::new()).is_err());
     assert_eq!(judging.displays(0), before);
 }
+
+fn annotation(day: i64, effect: AnnotationEffect) -> Annotation {
+    Annotation {
+        structure: name("bridge"),
+        quantity: Some(name("pier")),
+        time_ns: start_ns(day),
+        from_ns: start_ns(day),
+        to_ns: None,
+        kind: spandrel_bus::AnnotationKind::Repair,
+        effect,
+        who: "ada".to_owned(),
+        text: "new bearings".to_owned(),
+    }
+}
+
+#[test]
+fn a_change_is_seen_by_who_notes_it_after_it_was_found() {
+    let mut judging = judging();
+    run(&mut judging, 0..60, 1.0);
+    judging.annotate(annotation(60, AnnotationEffect::Seen));
+    run(&mut judging, 60..90, 0.95);
+    let display = &judging.displays(0)[0];
+    assert!(display.change.is_some());
+    assert_eq!(display.seen, None, "noted before the change was found");
+    judging.annotate(annotation(90, AnnotationEffect::None));
+    assert_eq!(judging.displays(0)[0].seen, None);
+    judging.annotate(annotation(90, AnnotationEffect::Seen));
+    let seen = judging.displays(0)[0].seen.clone().unwrap();
+    assert_eq!((seen.who.as_str(), seen.time_ns), ("ada", start_ns(90)));
+    assert_eq!(judging.displays(0)[1].seen, None, "another quantity");
+}
+
+#[test]
+fn a_new_reference_clears_the_change_at_once_and_learns_anew() {
+    let mut judging = judging();
+    run(&mut judging, 0..60, 1.0);
+    run(&mut judging, 60..90, 0.95);
+    let new = annotation(90, AnnotationEffect::NewReference);
+    assert!(!judging.is_past(&new));
+    assert!(judging.is_past(&annotation(89, AnnotationEffect::NewReference)));
+    assert!(!judging.is_past(&annotation(89, AnnotationEffect::Seen)));
+    judging.annotate(new);
+    let display = &judging.displays(0)[0];
+    assert_eq!((display.change, display.word()), (None, "learning"));
+    assert_eq!(judging.displays(0)[1].word(), "no-statement");
+    run(&mut judging, 90..130, 0.95);
+    let display = &judging.displays(0)[0];
+    assert_eq!((display.change, display.word()), (None, "judged"));
+}
+
+#[test]
+fn annotations_of_others_are_not_known() {
+    let judging = judging();
+    let own = annotation(1, AnnotationEffect::None);
+    assert!(judging.knows(&own));
+    for (structure, quantity) in [("tower", "pier"), ("bridge", "deck")] {
+        let other = Annotation {
+            structure: name(structure),
+            quantity: Some(name(quantity)),
+            ..own.clone()
+        };
+        assert!(!judging.knows(&other), "{other:?}");
+    }
+}

@@ -7,6 +7,7 @@ use crate::error::AppError;
 use crate::judge_report::{DayLine, Summary, course_csv, report_text};
 use crate::services::Share;
 use spandrel_judge::{Epoch, Judge};
+use spandrel_judging::{new_reference, read_annotations};
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordError, RecordReader};
 use spandrel_structure::{JudgePlan, JudgedStructure};
 use std::fmt::Write as _;
@@ -34,6 +35,18 @@ pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
         refuse_overwriting(file, arguments.series.iter().map(PathBuf::as_path))?;
     }
     let mut judge = Judge::new(structure.plan.settings.clone())?;
+    if let Some(path) = &arguments.annotations {
+        let text = std::fs::read_to_string(path).map_err(|source| RecordError::Open {
+            path: path.clone(),
+            source,
+        })?;
+        let annotations = read_annotations(&text, path);
+        let new = annotations
+            .iter()
+            .filter_map(|annotation| new_reference(annotation, judge.settings()));
+        let new: Vec<_> = new.collect();
+        new.into_iter().for_each(|new| judge.start_anew(new));
+    }
     let mut judgements = Vec::new();
     let mut epochs = 0_usize;
     for path in &arguments.series {

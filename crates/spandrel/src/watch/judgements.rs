@@ -19,11 +19,16 @@ pub fn judgement_texts(structure: &StructureState) -> impl Iterator<Item = Strin
 pub fn judgement_spans(structure: &StructureState) -> Vec<Span<'static>> {
     let span = |display: &JudgementDisplay| {
         let style = match &display.change {
+            Some(_) if display.seen.is_some() => Style::new(),
             Some(change) if change.kind.is_alarm() => Style::new().fg(Color::Red),
             Some(_) => Style::new().fg(Color::Yellow),
             None => Style::new(),
         };
-        let text = format!("{}: {}", display.word(), printable(&display.sentence));
+        let seen = display.seen.as_ref();
+        let seen = seen.map_or_else(String::new, |seen| {
+            format!(" Seen by {}.", printable(&seen.who))
+        });
+        let text = format!("{}: {}{seen}", display.word(), printable(&display.sentence));
         Span::styled(text, style)
     };
     structure.judgements.values().map(span).collect()

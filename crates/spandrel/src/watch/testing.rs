@@ -154,6 +154,7 @@ pub fn lasting_loss(quantity: &str) -> JudgementDisplay {
                 high: 0.06,
             },
         }),
+        seen: None,
         sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
         expectation: None,
         false_alarms_per_year: 0.1,

@@ -25,10 +25,12 @@ const CHECK_BYTES: usize = 8;
 fn epochs() -> String {
     let check = |text: &str, before: &str| {
         let all = fingerprint(&format!("{before}{text}"));
-        all[..CHECK_BYTES].iter().fold(String::new(), |mut hex, byte| {
-            write!(hex, "{byte:02x}").unwrap();
-            hex
-        })
+        all[..CHECK_BYTES]
+            .iter()
+            .fold(String::new(), |mut hex, byte| {
+                write!(hex, "{byte:02x}").unwrap();
+                hex
+            })
     };
     let mut text = "time,storey-1,storey-2,deck,deviation(storey-1),deviation(storey-2),\
                     spandrel-measured,spandrel-check\n"
@@ -75,9 +77,7 @@ async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
     browser.resize(1280, 1000).await;
     browser.prefer("light").await;
     browser.open(&services.page).await;
-    browser
-        .evaluate("location.hash = '#/structure/demo'")
-        .await;
+    browser.evaluate("location.hash = '#/structure/demo'").await;
     the_present_state_leads_to_the_year(&mut browser).await;
     the_first_quantity_has_lost_stiffness(&mut browser).await;
     another_quantity_has_its_own_address(&mut browser).await;
@@ -104,7 +104,9 @@ async fn the_present_state_leads_to_the_year(browser: &mut Browser) {
     let lost = format!(
         "/▲ lasting-loss: storey-1 has lost .* Found on 2025-1.-.. Last epoch 2025-11-22/.test({list}.textContent)"
     );
-    browser.wait("the state among the present ones", &lost).await;
+    browser
+        .wait("the state among the present ones", &lost)
+        .await;
     browser
         .evaluate(&format!("{list}.querySelector('a').click()"))
         .await;
@@ -120,7 +122,11 @@ async fn the_first_quantity_has_lost_stiffness(browser: &mut Browser) {
         readout("year")
     );
     browser.wait("the last day in the plot", &day).await;
-    for part in ["2024-07-01 to 2025-06-30", "0.05, of 0.1 for the structure", "mostly missed"] {
+    for part in [
+        "2024-07-01 to 2025-06-30",
+        "0.05, of 0.1 for the structure",
+        "mostly missed",
+    ] {
         let told = format!("{PANEL}.includes('{part}')");
         browser.wait(part, &told).await;
     }
@@ -138,7 +144,9 @@ async fn another_quantity_has_its_own_address(browser: &mut Browser) {
     let address = "location.hash === '#/structure/demo/lasting?quantity=storey-2'";
     browser.wait("the address of the quantity", address).await;
     browser.reload().await;
-    browser.wait("the same quantity after a reload", &sound).await;
+    browser
+        .wait("the same quantity after a reload", &sound)
+        .await;
 }
 
 async fn the_plots_are_zoomed_and_read_by_keyboard(browser: &mut Browser) {
@@ -160,7 +168,10 @@ async fn the_plots_are_zoomed_and_read_by_keyboard(browser: &mut Browser) {
     browser
         .evaluate("document.querySelector('#plot-scatter').scrollIntoView()")
         .await;
-    let scatter = format!("/^20..-..-.. · -?[0-9.]+ °C · measured /.test({})", readout("scatter"));
+    let scatter = format!(
+        "/^20..-..-.. · -?[0-9.]+ °C · measured /.test({})",
+        readout("scatter")
+    );
     browser.wait("values over the temperature", &scatter).await;
 }
 
@@ -168,11 +179,20 @@ async fn the_days_are_served_as_csv(browser: &mut Browser) {
     let fetched = "fetch('/api/structures/demo/judgements/storey-1/course?format=csv').then((answer) => answer.text())";
     let text = browser.evaluate(fetched).await;
     let lines: Vec<&str> = text.as_str().unwrap().lines().collect();
-    assert!(lines[0].starts_with("date,quantity,state,change,"), "{}", lines[0]);
+    assert!(
+        lines[0].starts_with("date,quantity,state,change,"),
+        "{}",
+        lines[0]
+    );
     // The last day is not over.
     assert_eq!(lines.len(), 1 + 509);
-    assert!(lines[509].starts_with("2025-11-21,storey-1,judged,lasting-loss,"), "{}", lines[509]);
-    let unknown = "fetch('/api/structures/demo/judgements/pier/course').then((answer) => answer.status)";
+    assert!(
+        lines[509].starts_with("2025-11-21,storey-1,judged,lasting-loss,"),
+        "{}",
+        lines[509]
+    );
+    let unknown =
+        "fetch('/api/structures/demo/judgements/pier/course').then((answer) => answer.status)";
     assert_eq!(browser.evaluate(unknown).await, 404);
 }
 

@@ -1,0 +1,262 @@
+//! What a person notes about a structure.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Format, Malformed, Message, check_label, check_text};
+use crate::name::Name;
+
+/// What an annotation is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AnnotationKind {
+    /// Somebody has looked at the structure.
+    Inspection,
+    /// The structure was repaired or strengthened.
+    Repair,
+    /// Maintenance, such as a new surface.
+    Maintenance,
+    /// Weather, such as a flood.
+    Weather,
+    /// Traffic, such as a closure or a heavy transport.
+    Traffic,
+    /// Anything else.
+    Other,
+}
+
+impl AnnotationKind {
+    /// All kinds.
+    pub const ALL: [Self; 6] = [
+        Self::Inspection,
+        Self::Repair,
+        Self::Maintenance,
+        Self::Weather,
+        Self::Traffic,
+        Self::Other,
+    ];
+
+    /// Returns the name of the kind, as in the message.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Inspection => "inspection",
+            Self::Repair => "repair",
+            Self::Maintenance => "maintenance",
+            Self::Weather => "weather",
+            Self::Traffic => "traffic",
+            Self::Other => "other",
+        }
+    }
+
+    /// Returns the kind of this name. `None` if there is none.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.as_str() == name)
+    }
+}
+
+/// What an annotation changes in the judgement of lasting change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AnnotationEffect {
+    /// Nothing.
+    #[default]
+    None,
+    /// Somebody has seen the lasting change that is known at this time.
+    Seen,
+    /// The reference starts anew with the first epoch at or after the beginning.
+    NewReference,
+}
+
+impl AnnotationEffect {
+    /// Returns the name of the effect, as in the message.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Seen => "seen",
+            Self::NewReference => "new-reference",
+        }
+    }
+}
+
+/// A note of a person about a structure or one judged quantity.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Annotation {
+    /// The structure.
+    pub structure: Name,
+    /// The judged quantity. `None` for all of them.
+    #[serde(default)]
+    pub quantity: Option<Name>,
+    /// Time of this message, ns since the Unix epoch, UTC, by the clock of the sender.
+    pub time_ns: i64,
+    /// Beginning of what it describes, ns since the Unix epoch, UTC, at most `time_ns` if it starts a
+    /// reference.
+    pub from_ns: i64,
+    /// End of what it describes, ns since the Unix epoch, UTC. `None` for a moment.
+    #[serde(default)]
+    pub to_ns: Option<i64>,
+    /// What it is about.
+    pub kind: AnnotationKind,
+    /// What it changes.
+    #[serde(default)]
+    pub effect: AnnotationEffect,
+    /// Name of the person; not empty, at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without
+    /// control characters.
+    pub who: String,
+    /// The text, or the reason of a new reference. It is not empty.
+    pub text: String,
+}
+
+impl Annotation {
+    /// Returns `true` if the annotation concerns a quantity.
+    #[must_use]
+    pub fn covers(&self, quantity: &Name) -> bool {
+        self.quantity.as_ref().is_none_or(|own| own == quantity)
+    }
+
+    /// Returns kind and effect in words, such as `repair: new reference`.
+    #[must_use]
+    pub fn what(&self) -> String {
+        let kind = self.kind.as_str();
+        match self.effect {
+            AnnotationEffect::None => kind.to_owned(),
+            AnnotationEffect::Seen => format!("{kind}: lasting change seen"),
+            AnnotationEffect::NewReference => format!("{kind}: new reference"),
+        }
+    }
+
+    /// Returns the name of the person and the text, such as `ada: new bearings`.
+    #[must_use]
+    pub fn why(&self) -> String {
+        format!("{}: {}", self.who, self.text)
+    }
+}
+
+impl Message for Annotation {
+    const TYPE: &'static str = "annotation";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Json;
+
+    fn check(&self) -> Result<(), Malformed> {
+        check_label("who", &self.who)?;
+        check_text("text", &self.text)?;
+        let texts = [
+            ("length of who", &self.who),
+            ("length of the text", &self.text),
+        ];
+        if let Some((what, _)) = texts.into_iter().find(|(_, text)| text.trim().is_empty()) {
+            return Err(Malformed::Count {
+                what,
+                found: 0,
+                least: 1,
+                most: 4096,
+            });
+        }
+        let seconds = |ns: i64| ns as f64 / 1e9;
+        if let Some(to_ns) = self.to_ns.filter(|to_ns| *to_ns < self.from_ns) {
+            return Err(Malformed::Range {
+                what: "end (s)",
+                found: seconds(to_ns),
+                low: seconds(self.from_ns),
+                high: f64::MAX,
+            });
+        }
+        if self.effect == AnnotationEffect::NewReference && self.from_ns > self.time_ns {
+            return Err(Malformed::Range {
+                what: "beginning of a reference (s)",
+                found: seconds(self.from_ns),
+                low: f64::MIN,
+                high: seconds(self.time_ns),
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn repair() -> Annotation {
+        Annotation {
+            structure: Name::new("bridge").unwrap(),
+            quantity: Some(Name::new("pier").unwrap()),
+            time_ns: 100,
+            from_ns: 50,
+            to_ns: None,
+            kind: AnnotationKind::Repair,
+            effect: AnnotationEffect::NewReference,
+            who: "ada".to_owned(),
+            text: "new bearings".to_owned(),
+        }
+    }
+
+    #[test]
+    fn an_annotation_has_a_name_and_a_text() {
+        assert_eq!(repair().check(), Ok(()));
+        assert_eq!(repair().what(), "repair: new reference");
+        assert_eq!(repair().why(), "ada: new bearings");
+        for (who, text) in [
+            ("", "x"),
+            (" ", "x"),
+            ("ada", ""),
+            ("ada", " \n"),
+            ("a\nb", "x"),
+        ] {
+            let wrong = Annotation {
+                who: who.to_owned(),
+                text: text.to_owned(),
+                ..repair()
+            };
+            assert!(wrong.check().is_err(), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn a_reference_does_not_begin_in_the_future_and_nothing_ends_before_it_begins() {
+        let future = Annotation {
+            from_ns: 101,
+            ..repair()
+        };
+        assert!(matches!(future.check(), Err(Malformed::Range { .. })));
+        let planned = Annotation {
+            effect: AnnotationEffect::None,
+            ..future
+        };
+        assert_eq!(planned.check(), Ok(()));
+        let backwards = Annotation {
+            to_ns: Some(49),
+            ..repair()
+        };
+        assert!(matches!(backwards.check(), Err(Malformed::Range { .. })));
+    }
+
+    #[test]
+    fn an_annotation_without_a_quantity_concerns_all() {
+        let (pier, deck) = (Name::new("pier").unwrap(), Name::new("deck").unwrap());
+        assert!(repair().covers(&pier) && !repair().covers(&deck));
+        let all = Annotation {
+            quantity: None,
+            ..repair()
+        };
+        assert!(all.covers(&pier) && all.covers(&deck));
+    }
+
+    #[test]
+    fn names_are_those_of_the_json() {
+        for kind in AnnotationKind::ALL {
+            let json = serde_json::to_string(&kind).unwrap();
+            assert_eq!(json, format!("\"{}\"", kind.as_str()));
+            assert_eq!(AnnotationKind::from_name(kind.as_str()), Some(kind));
+        }
+        let effects = [
+            AnnotationEffect::None,
+            AnnotationEffect::Seen,
+            AnnotationEffect::NewReference,
+        ];
+        for effect in effects {
+            let json = serde_json::to_string(&effect).unwrap();
+            assert_eq!(json, format!("\"{}\"", effect.as_str()));
+        }
+    }
+}
