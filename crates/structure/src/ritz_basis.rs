@@ -103,3 +103,101 @@ impl Structure {
         (norm > SMALLEST_RESIDUAL * whole).then(|| shape / norm)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// A tall building under ground motion, just too large to be analysed as it is.
+    const TALL: &str = "
+        [structure]
+        name = \"tall\"
+        sampling-rate-hz = 50
+        [model]
+        kind = \"shear-building\"
+        storeys = 201
+        mass-kg = 20_000
+        first-frequency-hz = 0.15
+        [damping]
+        kind = \"rayleigh\"
+        ratio = 0.02
+        modes = [1, 2]
+        [[parameter]]
+        name = \"damping\"
+        scales = \"damping\"
+        of = \"all\"
+        std = 0.2
+        [[excitation]]
+        name = \"ground\"
+        kind = \"ground\"
+        std = 0.1
+        measured-on = \"ground\"
+        [[node]]
+        name = \"site\"
+        [[node.channel]]
+        name = \"ground\"
+        quantity = \"ground-acceleration\"
+        unit = \"m/s2\"
+        noise-std = 0.005
+        [[node.channel]]
+        name = \"roof\"
+        quantity = \"absolute-acceleration\"
+        dof = \"floor-201\"
+        unit = \"m/s2\"
+        noise-std = 0.005
+    ";
+
+    /// Amplitudes of undamped motion under the forces p sin ωt, as a sum over all modes:
+    /// x = Σ φ_j φ_jᵀ p / (ω_j² − ω²).
+    fn whole(structure: &Structure, force: &DVector<f64>, omega: f64) -> DVector<f64> {
+        let loads = structure.modes.shapes.tr_mul(force);
+        let natural = DVector::from_column_slice(&structure.modes.angular_frequencies);
+        let amplitudes = loads.zip_map(&natural, |p, own| p / (own * own - omega * omega));
+        &structure.modes.shapes * amplitudes
+    }
+
+    /// The same in the shapes of the analysis: (Φᵀ K Φ − ω² I) q = Φᵀ p.
+    fn reduced(
+        structure: &Structure,
+        basis: &RitzBasis,
+        force: &DVector<f64>,
+        omega: f64,
+    ) -> DVector<f64> {
+        let natural = DVector::from_column_slice(&structure.modes.angular_frequencies);
+        // K = M Φ_all Λ Φ_allᵀ M, so Φᵀ K Φ = A Λ Aᵀ with A = Φᵀ M Φ_all.
+        let a = &basis.shares * &structure.modes.shapes;
+        let scaled = DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] * natural[j].powi(2));
+        let mut dynamic = scaled * a.transpose();
+        for own in 0..dynamic.nrows() {
+            dynamic[(own, own)] -= omega * omega;
+        }
+        let q = dynamic.lu().solve(&basis.shapes.tr_mul(force)).unwrap();
+        &basis.shapes * q
+    }
+
+    #[test]
+    fn reduced_model_moves_as_the_whole_one_up_to_two_thirds_of_its_modes() {
+        let structure = Structure::parse(TALL, Path::new("tall.toml")).unwrap();
+        let basis = structure.analysis_basis().unwrap();
+        let modes = &structure.modes.angular_frequencies;
+        assert!(modes.len() > MOST_MODES && basis.shapes.ncols() > MOST_MODES);
+        let mass = structure.system.mass.to_dense();
+        for force in structure.static_forces(&mass) {
+            let mut errors = Vec::new();
+            // Between the modes, where the undamped motion is finite.
+            for mode in [0, 4, 9, 19, 39] {
+                let omega = 0.5 * (modes[mode] + modes[mode + 1]);
+                let (whole, reduced) = (
+                    whole(&structure, &force, omega),
+                    reduced(&structure, &basis, &force, omega),
+                );
+                errors.push((&whole - reduced).norm() / whole.norm());
+            }
+            assert!(errors.iter().all(|error| *error < 0.01), "{errors:?}");
+            let still = whole(&structure, &force, 0.0);
+            let error = (&still - reduced(&structure, &basis, &force, 0.0)).norm() / still.norm();
+            assert!(error < 1e-9, "{error}");
+        }
+    }
+}
