@@ -5,7 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ConditionDisplay, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
-    Format, FrameBlock, HistoryLog, HistorySpan, JudgementDisplay, LocalMessage, LossDisplay, Maintenance, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    Format, FrameBlock, HistoryLog, HistorySpan, JudgementDisplay, LocalMessage, LossDisplay, Maintenance, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, StateMessage, Status,
 };
 
@@ -78,6 +78,7 @@ const TYPES: &[fn(&[u8])] = &[
     text::<CaughtUp>,
     message::<Maintenance>,
     message::<JudgementDisplay>,
+    message::<ModeDisplay>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {

@@ -224,6 +224,18 @@ impl Keys {
         self.all(KeyFamily::Judgement)
     }
 
+    /// Returns the key of one declared mode.
+    #[must_use]
+    pub fn mode(&self, mode: &Name) -> String {
+        self.key(KeyFamily::Mode, mode)
+    }
+
+    /// Returns the key expression of all declared modes.
+    #[must_use]
+    pub fn all_modes(&self) -> String {
+        self.all(KeyFamily::Mode)
+    }
+
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
@@ -375,6 +387,8 @@ pub enum Service {
     Fuse,
     /// The alert service.
     Alert,
+    /// The service that follows natural frequencies.
+    Modes,
     /// The service that judges lasting changes.
     Judge,
     /// The history service.
@@ -387,13 +401,14 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Sensor,
         Self::Feed,
         Self::Ingest,
         Self::Identify,
         Self::Fuse,
         Self::Alert,
+        Self::Modes,
         Self::Judge,
         Self::History,
         Self::Notify,
@@ -410,6 +425,7 @@ impl Service {
             Self::Identify => "identify",
             Self::Fuse => "fuse",
             Self::Alert => "alert",
+            Self::Modes => "modes",
             Self::Judge => "judge",
             Self::History => "history",
             Self::Notify => "notify",
@@ -473,6 +489,8 @@ pub enum KeyFamily {
     Condition,
     /// [`Keys::judgement`], one per quantity
     Judgement,
+    /// [`Keys::mode`], one per declared mode
+    Mode,
     /// [`Keys::event`]
     Event,
     /// [`Keys::alert`], one per parameter
@@ -512,7 +530,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 30] = [
+    const WITHOUT_SERVICE: [Self; 31] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -532,6 +550,7 @@ impl KeyFamily {
         Self::SensorHealth,
         Self::Condition,
         Self::Judgement,
+        Self::Mode,
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
@@ -569,6 +588,7 @@ impl KeyFamily {
             Self::SensorHealth => "sensor/{of}/health",
             Self::Condition => "condition/{of}",
             Self::Judgement => "judgement/{of}",
+            Self::Mode => "mode/{of}",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
@@ -746,6 +766,8 @@ mod tests {
             (keys.all_conditions(), "spandrel/tower/condition/*"),
             (keys.judgement(&n), "spandrel/tower/judgement/storey-1"),
             (keys.all_judgements(), "spandrel/tower/judgement/*"),
+            (keys.mode(&n), "spandrel/tower/mode/storey-1"),
+            (keys.all_modes(), "spandrel/tower/mode/*"),
             (keys.event(), "spandrel/tower/event"),
             (keys.all_alerts(), "spandrel/tower/alert/*"),
             (

@@ -15,10 +15,10 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, Block, CaughtUp, ChannelState, ConditionDisplay, Description,
     Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
     Header, HistoryLog, HistorySpan, JudgementDisplay, LocalDensity, LocalMessage, LossDisplay,
-    MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message, ModelClassDisplay, MonitoringDisplay,
-    MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    Progress, SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage, Status, StreamState,
-    ToldMotion, ToldSamples,
+    MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message, ModeDisplay, ModelClassDisplay,
+    MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, Progress, SampleBlock, ScreenedChannel, SensorHealthDisplay, StateMessage,
+    Status, StreamState, ToldMotion, ToldSamples,
 };
 
 use std::path::Path;
@@ -304,6 +304,12 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"residual\":-3.0,\"ln_evidence\":9.0,\"ln_threshold\":8.2,\"cusum_share\":1.1},\
              \"false_alarms_per_year\":0.1}",
         ),
+        text::<ModeDisplay>(
+            "{\"structure\":\"demo\",\"mode\":\"bending-1\",\"time_ns\":600000000000,\"epoch_s\":600.0,\"epochs\":1,\
+             \"state\":\"paired\",\"partner\":\"torsion-1\",\"estimate\":{\"frequency_hz\":3.9,\"frequency_std_hz\":0.004,\
+             \"damping\":0.01,\"damping_std\":0.001,\"shape\":[{\"channel\":\"span-1\",\"value\":[1.0,0.0],\"std\":0.0}],\
+             \"amplitude\":0.02},\"presence\":1.0,\"machine\":false,\"declared_hz\":3.9}",
+        ),
     ]
 }
 
@@ -413,7 +419,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 29);
+    assert_eq!(messages.len(), 30);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -444,7 +450,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_valid_message(
-        which in 0usize..29,
+        which in 0usize..30,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -453,7 +459,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..29, to in 0usize..29) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..30, to in 0usize..30) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

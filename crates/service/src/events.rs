@@ -56,6 +56,9 @@ fn level(event: &Event) -> Level {
         | EventKind::Maintenance
         | EventKind::CaughtUp
         | EventKind::HistoryBack
+        | EventKind::ModeFound
+        | EventKind::ModeParted
+        | EventKind::ModeProposed
         | EventKind::StateBack => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
@@ -71,6 +74,8 @@ fn level(event: &Event) -> Level {
         | EventKind::Overloaded
         | EventKind::HistoryUnavailable
         | EventKind::LastingChange
+        | EventKind::ModeLost
+        | EventKind::ModePaired
         | EventKind::StateLost => Level::WARN,
     }
 }

@@ -44,6 +44,8 @@ from .messages import (
     Loss,
     MaskedSpan,
     Message,
+    Mode,
+    ModeEstimate,
     ModelClass,
     Monitoring,
     Node,
@@ -53,6 +55,7 @@ from .messages import (
     Parameter,
     ParameterMonitoring,
     SensorHealth,
+    ShapeValue,
     Status,
 )
 from .sensor import SAMPLES_KEPT, Sensor
@@ -86,6 +89,8 @@ __all__ = [
     "Loss",
     "MaskedSpan",
     "Message",
+    "Mode",
+    "ModeEstimate",
     "ModelClass",
     "Monitoring",
     "NoReply",
@@ -100,6 +105,7 @@ __all__ = [
     "QueryRejected",
     "Sensor",
     "SensorHealth",
+    "ShapeValue",
     "SpandrelError",
     "Status",
     "Subscription",

@@ -60,6 +60,16 @@ pub enum EventKind {
     StateBack,
     /// A lasting change of a quantity was found.
     LastingChange,
+    /// A mode persists that the structure file does not declare.
+    ModeProposed,
+    /// A declared mode is missing so often that nothing is stated about it.
+    ModeLost,
+    /// A declared mode was found, for the first time or again.
+    ModeFound,
+    /// Two declared modes can no longer be told apart.
+    ModePaired,
+    /// Two such modes can be told apart again.
+    ModeParted,
 }
 
 /// One event with its reason.
