@@ -143,7 +143,7 @@ pub enum Command {
                       spandrel convert modal-test.uff modal-test.csv --resample 200"
     )]
     Convert(ConvertArguments),
-    /// Identify natural frequencies, damping ratios and mode shapes of a recording.
+    /// Identify natural frequencies, damping ratios and mode shapes of a recording, or live.
     #[command(after_help = "Examples: spandrel modes bridge.mseed\n          \
                       spandrel modes tower.dat --rate 100 --epoch 164 --report modes\n          \
                       spandrel modes week-12.csv tower.toml --json\n          \
