@@ -15,9 +15,9 @@ mod support;
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, CaughtUp, ConditionDisplay, Event, FitDisplay, HistorySpan,
-    JudgementDisplay, LossDisplay, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay,
-    Status,
+    JudgementDisplay, LossDisplay, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SampleBlock,
+    SensorHealthDisplay, Status,
 };
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -97,6 +97,7 @@ fn the_package_supports_the_versions_of_the_services() {
         SensorHealthDisplay::encoding(),
         ConditionDisplay::encoding(),
         JudgementDisplay::encoding(),
+        ModeDisplay::encoding(),
         ModelClassDisplay::encoding(),
         FitDisplay::encoding(),
         MonitoringDisplay::encoding(),

@@ -4,8 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Annotation, Block, CaughtUp, ConditionDisplay, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay,
-    Format, FrameBlock, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalMessage, LossDisplay, Maintenance, Message, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    Acknowledgement, AlertMessage, Annotation, Block, CaughtUp, ConditionDisplay, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalMessage, LossDisplay, Maintenance, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, StateMessage, Status,
 };
 
@@ -80,6 +79,7 @@ const TYPES: &[fn(&[u8])] = &[
     message::<JudgementDisplay>,
     message::<JudgementCourse>,
     message::<Annotation>,
+    message::<ModeDisplay>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {

@@ -48,7 +48,7 @@ impl Right {
 }
 
 /// Key families of data that the dashboard and the history show.
-const DISPLAYED: [KeyFamily; 14] = [
+const DISPLAYED: [KeyFamily; 15] = [
     K::Parameter,
     K::Loss,
     K::Noise,
@@ -56,6 +56,7 @@ const DISPLAYED: [KeyFamily; 14] = [
     K::SensorHealth,
     K::Condition,
     K::Judgement,
+    K::Mode,
     K::ModelClass,
     K::Fit,
     K::Monitoring,
@@ -66,7 +67,7 @@ const DISPLAYED: [KeyFamily; 14] = [
 ];
 
 /// Key families that the services of a worker publish.
-const IDENTIFIED: [KeyFamily; 12] = [
+const IDENTIFIED: [KeyFamily; 13] = [
     K::Frames,
     K::Estimates,
     K::Parameter,
@@ -79,6 +80,7 @@ const IDENTIFIED: [KeyFamily; 12] = [
     K::Feedback,
     K::Event,
     K::Description,
+    K::Mode,
 ];
 
 /// Returns the rights of a role.
@@ -143,9 +145,14 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             // identification becomes overloaded.
             each(Right::Subscribe, &[K::Status(Service::Ingest)]),
             watch_all(),
-            [Service::Ingest, Service::Identify, Service::Fuse]
-                .map(of_service)
-                .concat(),
+            [
+                Service::Ingest,
+                Service::Identify,
+                Service::Fuse,
+                Service::Modes,
+            ]
+            .map(of_service)
+            .concat(),
         ]
         .concat(),
         Role::Alert => [
@@ -168,7 +175,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             // The judgement is the slow part of the decision.
             each(
                 Right::Subscribe,
-                &[K::Parameter, K::Condition, K::Monitoring],
+                &[K::Parameter, K::Mode, K::Condition, K::Monitoring],
             ),
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
             each(Right::Query, &[K::Alert, K::Condition]),
@@ -303,6 +310,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Condition
         | K::Judgement
         | K::JudgementCourse
+        | K::Mode
         | K::Event
         | K::Alert
         | K::Acknowledge

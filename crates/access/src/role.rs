@@ -15,7 +15,7 @@ pub enum Role {
     Database,
     /// All services of one machine in one process.
     Server,
-    /// The services ingest, identify and fuse.
+    /// The services ingest, identify, fuse and modes.
     Worker,
     /// The alert service, and the service that judges lasting changes.
     Alert,

@@ -237,6 +237,18 @@ impl Keys {
         self.all(KeyFamily::JudgementCourse)
     }
 
+    /// Returns the key of one declared mode.
+    #[must_use]
+    pub fn mode(&self, mode: &Name) -> String {
+        self.key(KeyFamily::Mode, mode)
+    }
+
+    /// Returns the key expression of all declared modes.
+    #[must_use]
+    pub fn all_modes(&self) -> String {
+        self.all(KeyFamily::Mode)
+    }
+
     /// Returns the key of the events, such as restarts, calibrations and exclusions.
     #[must_use]
     pub fn event(&self) -> String {
@@ -394,6 +406,8 @@ pub enum Service {
     Fuse,
     /// The alert service.
     Alert,
+    /// The service that follows natural frequencies.
+    Modes,
     /// The service that judges lasting changes.
     Judge,
     /// The history service.
@@ -406,13 +420,14 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Sensor,
         Self::Feed,
         Self::Ingest,
         Self::Identify,
         Self::Fuse,
         Self::Alert,
+        Self::Modes,
         Self::Judge,
         Self::History,
         Self::Notify,
@@ -429,6 +444,7 @@ impl Service {
             Self::Identify => "identify",
             Self::Fuse => "fuse",
             Self::Alert => "alert",
+            Self::Modes => "modes",
             Self::Judge => "judge",
             Self::History => "history",
             Self::Notify => "notify",
@@ -494,6 +510,8 @@ pub enum KeyFamily {
     Judgement,
     /// [`Keys::judgement_course`], one per quantity
     JudgementCourse,
+    /// [`Keys::mode`], one per declared mode
+    Mode,
     /// [`Keys::event`]
     Event,
     /// [`Keys::alert`], one per parameter
@@ -535,7 +553,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 32] = [
+    const WITHOUT_SERVICE: [Self; 33] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -556,6 +574,7 @@ impl KeyFamily {
         Self::Condition,
         Self::Judgement,
         Self::JudgementCourse,
+        Self::Mode,
         Self::Event,
         Self::Alert,
         Self::Acknowledge,
@@ -595,6 +614,7 @@ impl KeyFamily {
             Self::Condition => "condition/{of}",
             Self::Judgement => "judgement/{of}",
             Self::JudgementCourse => "judgement/{of}/@course",
+            Self::Mode => "mode/{of}",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
             Self::Acknowledge => "alert/{of}/acknowledge",
@@ -781,6 +801,8 @@ mod tests {
                 keys.all_judgement_courses(),
                 "spandrel/tower/judgement/*/@course",
             ),
+            (keys.mode(&n), "spandrel/tower/mode/storey-1"),
+            (keys.all_modes(), "spandrel/tower/mode/*"),
             (keys.event(), "spandrel/tower/event"),
             (keys.all_alerts(), "spandrel/tower/alert/*"),
             (

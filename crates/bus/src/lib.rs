@@ -97,12 +97,13 @@ pub use message::{
     Header, HistoryLog, HistoryRows, HistorySpan, InstrumentState, InstrumentStatus,
     JudgementCourse, JudgementDisplay, JudgementState, LastingChange, Load, LocalDensity,
     LocalMessage, LossDisplay, MAX_CHANNELS, MAX_ITEMS, MAX_LABEL_BYTES, MAX_MESSAGE_BYTES,
-    MAX_SOURCE_BYTES, Maintenance, Malformed, MaskedSpan, Message, ModelClassDisplay,
-    MonitoringDisplay, MonitoringState, MotionNumbers, NodeClock, NodeDisplay, NodeHealth,
-    NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    ParameterMonitoring, Phase, Progress, REFERENCE_IS_LEARNT, RoundedProbability, SampleBlock,
-    ScreenedChannel, SensorHealthDisplay, Soundness, Standing, StateMessage, Status, StreamState,
-    ToldMotion, ToldSamples, UndecidedBecause, fit_in_words, is_without_date, reported_pace,
+    MAX_SOURCE_BYTES, Maintenance, Malformed, MaskedSpan, Message, ModeDisplay, ModeEstimate,
+    ModeState, ModelClassDisplay, MonitoringDisplay, MonitoringState, MotionNumbers, NodeClock,
+    NodeDisplay, NodeHealth, NodeLineage, NodeState, NoiseDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, ParameterMonitoring, Phase, Progress, REFERENCE_IS_LEARNT,
+    RoundedProbability, SampleBlock, ScreenedChannel, SensorHealthDisplay, ShapeValue, Soundness,
+    Standing, StateMessage, Status, StreamState, ToldMotion, ToldSamples, UndecidedBecause,
+    fit_in_words, is_without_date, reported_pace,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

@@ -20,6 +20,7 @@ mod judgement;
 mod local;
 mod loss;
 mod maintenance;
+mod mode;
 mod model_class;
 mod monitoring;
 mod node;
@@ -65,6 +66,7 @@ pub use local::{
 };
 pub use loss::LossDisplay;
 pub use maintenance::Maintenance;
+pub use mode::{ModeDisplay, ModeEstimate, ModeState, ShapeValue};
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};
 pub use monitoring::{
     ChannelMonitoring, MonitoringDisplay, MonitoringState, ParameterMonitoring, REFERENCE_IS_LEARNT,

@@ -16,8 +16,8 @@ use spandrel_bus::{
     Description, Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay,
     Format, FrameBlock, Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay,
     LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message,
-    ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel,
+    ModeDisplay, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage,
+    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel,
     SensorHealthDisplay, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
 };
 
@@ -320,6 +320,12 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
             "{\"structure\":\"demo\",\"quantity\":\"storey-2\",\"time_ns\":9,\"from_ns\":5,\"to_ns\":8,\"kind\":\"repair\",\
              \"effect\":\"new-reference\",\"who\":\"ada\",\"text\":\"new bearings\"}",
         ),
+        text::<ModeDisplay>(
+            "{\"structure\":\"demo\",\"mode\":\"bending-1\",\"time_ns\":600000000000,\"epoch_s\":600.0,\"epochs\":1,\
+             \"state\":\"paired\",\"partner\":\"torsion-1\",\"estimate\":{\"frequency_hz\":3.9,\"frequency_std_hz\":0.004,\
+             \"damping\":0.01,\"damping_std\":0.001,\"shape\":[{\"channel\":\"span-1\",\"value\":[1.0,0.0],\"std\":0.0}],\
+             \"amplitude\":0.02},\"presence\":1.0,\"machine\":false,\"declared_hz\":3.9}",
+        ),
     ]
 }
 
@@ -429,7 +435,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 31);
+    assert_eq!(messages.len(), 32);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -460,7 +466,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_valid_message(
-        which in 0usize..31,
+        which in 0usize..32,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -469,7 +475,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..31, to in 0usize..31) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..32, to in 0usize..32) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

@@ -2,9 +2,10 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
-import { parameterPlot } from "./plots.js";
+import { PlotGroup } from "./groups.js";
+import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, NOT_STIFFNESS, NO_RULE, judged, judgementWords, place, probability, ratio, stateOf, step } from "./words.js";
+import { COLUMNS, NOT_STIFFNESS, NO_RULE, judged, judgementWords, modeWords, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -29,11 +30,15 @@ export class NowTab {
     this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
     this.noJudgement = h("p", { class: "group-text" }, "The service judge has not reported yet.");
     const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, "Lasting change"), this.noJudgement, this.judgements);
-    this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null, lasting);
+    this.modes = h("ul", { class: "sensor-list", id: "modes" });
+    this.noMode = h("p", { class: "group-text" }, "The service modes has not completed an epoch yet.");
+    const natural = h("section", { class: "card", id: "natural-frequencies", hidden: about.modes.length === 0 }, h("h2", {}, "Natural frequencies"), h("p", { class: "group-text" }, "Frequency with its 95 % interval, and damping ratio with its standard deviation."), this.noMode, this.modes);
+    this.frequencies = new PlotGroup("modes", "Natural frequencies over time", "Each epoch is a point; bands: 50, 95 and 99.7 % intervals.");
+    this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null, lasting, natural, this.frequencies.element);
   }
 
   get plots() {
-    return this.#worst ? [this.#worst.plot] : [];
+    return [...(this.#worst ? [this.#worst.plot] : []), ...this.frequencies.plots];
   }
 
   /** Shows the plot of the part with the highest probability of loss. */
@@ -75,6 +80,22 @@ export class NowTab {
     const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name));
     keyed(this.rows, found, (parameter) => parameter.name, make, update);
     this.#showJudgements(standing);
+    this.#showModes(standing);
+  }
+
+  /** Creates the plots of modes that were found. */
+  discover({ modes }) {
+    const { points, span } = this.page;
+    for (const { mode, estimate } of modes) if (estimate) this.frequencies.add(mode, () => modePlot(mode, points, span));
+  }
+
+  #showModes({ modes }) {
+    this.noMode.hidden = modes.length > 0;
+    keyed(this.modes, modes, ({ mode }) => mode, () => ({ element: h("li") }), (part, mode) => {
+      const { level, text } = modeWords(mode);
+      part.element.dataset.level = level;
+      setText(part.element, text);
+    });
   }
 
   #showJudgements({ judgements }) {

@@ -180,6 +180,25 @@ export function conditionPlot(condition, points, span) {
   );
 }
 
+/** Creates the plot of the natural frequency of a mode, with bands. Each epoch is a point. */
+export function modePlot(mode, points, span) {
+  const name = `mode/${mode}`;
+  return new Plot(
+    {
+      title: mode,
+      file: `mode-${mode}`,
+      unit: "Hz",
+      names: [name],
+      rows: (columns) => meanWithBands(columns.get(name) ?? [[], [], []]),
+      series: () => [line(0, { points: { show: true, size: 5 } }), edge, edge, edge, edge, edge, edge],
+      bands: bandFills,
+      readout: (data, at) => (data[1][at] === null ? "no data" : `${number(data[1][at])} Hz · 95 %: ${number(data[4][at])} to ${number(data[5][at])} Hz`),
+    },
+    points,
+    span,
+  );
+}
+
 /** Creates the plot of a channel's outlier screening. */
 export function outlierPlot(channel, points, span) {
   const name = `outlier/${channel}`;

@@ -148,7 +148,7 @@ export class Points {
       const entry = this.#series.get(name);
       const newest = data[0].at(-1);
       // A new run of measurement may start before the points already shown.
-      if (entry && entry.generation !== null && entry.generation !== generation && !name.startsWith("condition/")) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
+      if (entry && entry.generation !== null && entry.generation !== generation && !isSlow(name)) [this.span.newest_s, this.span.keptFrom_s] = [newest, null];
       else this.#advance(name, newest);
       if (!entry?.columns || !this.span.isLive) continue;
       const last = entry.generation === generation ? (entry.columns[0].at(-1) ?? -Infinity) : -Infinity;
@@ -178,14 +178,13 @@ export class Points {
   }
 
   /**
-   * Moves the newest time. Conditions move it only before the first estimate, because their times
-   * differ from those of a replayed record.
+   * Moves the newest time. Conditions and modes move it only before the first estimate, because
+   * their times differ from those of a replayed record, or are those of an epoch that is over.
    */
   #advance(name, newest_s) {
-    const isCondition = name.startsWith("condition/");
-    if (isCondition && this.#hasEstimates) return;
-    const isFirst = !isCondition && !this.#hasEstimates;
-    this.#hasEstimates ||= !isCondition;
+    if (isSlow(name) && this.#hasEstimates) return;
+    const isFirst = !isSlow(name) && !this.#hasEstimates;
+    this.#hasEstimates ||= !isSlow(name);
     this.span.newest_s = isFirst ? newest_s : Math.max(newest_s, this.span.newest_s ?? -Infinity);
   }
 
@@ -207,6 +206,11 @@ export class Points {
     if (!this.span.isLive) query.set("to", this.span.to_s);
     return `/api/structures/${encodeURIComponent(this.structure)}/history?${query}`;
   }
+}
+
+/** Returns whether the points of a series are much rarer than estimates. */
+function isSlow(name) {
+  return name.startsWith("condition/") || name.startsWith("mode/");
 }
 
 /** Returns the rows after a time. */

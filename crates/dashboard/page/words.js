@@ -229,6 +229,20 @@ export function conditionWords({ name, unit: of, value, age_s, stale, implausibl
   return { level: fault ? "warning" : "normal", text: `${fault ? "▲" : "●"} ${name}: ${number(value)} ${unit(of)}, ${duration(age_s)} ago${fault}${by}` };
 }
 
+/** Returns the level, sign and words of a declared mode. */
+export function modeWords({ mode, time_ns: end, state, partner, estimate, presence, machine }) {
+  const isSure = state === "tracked" && !machine;
+  const level = isSure ? "normal" : state === "missing" && presence > 0.5 ? "learning" : "warning";
+  const parts = [`${LEVELS[level].sign} ${mode}:`];
+  if (estimate) {
+    const { frequency_hz: f, frequency_std_hz: std, damping, damping_std: dampingStd } = estimate;
+    parts.push(`${f.toFixed(4)} Hz [${(f - 1.96 * std).toFixed(4)}, ${(f + 1.96 * std).toFixed(4)}], damping ${percent(damping, 2)} ± ${percent(dampingStd, 2)}.`);
+  }
+  parts.push(`${state}${partner ? ` with ${partner}` : ""} in the epoch to ${time(end / 1e9)}, found in ${percent(presence, 0)} of the last 20 epochs.`);
+  if (machine) parts.push("A machine runs at this frequency.");
+  return { level, text: parts.join(" ") };
+}
+
 /** Levels of the words of a judgement. The others say nothing about the structure. */
 const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm" };
 

@@ -17,6 +17,8 @@ pub(crate) struct About {
     pub(crate) conditions: Vec<AboutCondition>,
     /// Names of the quantities that are judged for lasting change.
     pub(crate) judged: Vec<String>,
+    /// Modes that are followed.
+    pub(crate) modes: Vec<AboutMode>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
     /// Index of each observed channel in the drawing's list of sensors.
@@ -40,6 +42,14 @@ pub(crate) struct AboutNoise {
     pub(crate) name: String,
     /// Unit of the standard deviation.
     pub(crate) unit: &'static str,
+}
+
+/// A declared mode.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AboutMode {
+    pub(crate) name: String,
+    /// Frequency in the structure file (Hz).
+    pub(crate) frequency_hz: f64,
 }
 
 /// A condition, such as a temperature.
@@ -89,6 +99,11 @@ impl About {
         });
         let judged = structure.judge().into_iter();
         let judged = judged.flat_map(|plan| &plan.settings.quantities);
+        let modes = structure.modal().into_iter().flat_map(|plan| &plan.modes);
+        let modes = modes.map(|mode| AboutMode {
+            name: mode.name.clone(),
+            frequency_hz: mode.frequency_hz,
+        });
         let rules = structure.alert_rules().iter().map(|rule| AboutRule {
             parameters: rule
                 .parameters
@@ -109,6 +124,7 @@ impl About {
             noise: noise.collect(),
             conditions: conditions.collect(),
             judged: judged.map(|quantity| quantity.name.clone()).collect(),
+            modes: modes.collect(),
             rules: rules.collect(),
             drawing: structure.drawing(),
             observed: structure.observation_channels().to_vec(),

@@ -273,7 +273,7 @@ impl Span {
         let rows = &answer.rows;
         let row = |row: usize| {
             let values = match series.kind {
-                Kind::Parameter | Kind::Noise => vec![rows.mean[row], rows.std[row]],
+                Kind::Parameter | Kind::Noise | Kind::Mode => vec![rows.mean[row], rows.std[row]],
                 Kind::Loss => vec![
                     rows.mean[row],
                     rows.low[row],

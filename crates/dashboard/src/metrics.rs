@@ -5,14 +5,14 @@ use crate::overview::overview;
 use crate::sensors::sensor_states;
 use crate::server::now_ns;
 use crate::store::Store;
-use crate::view::judgements;
+use crate::view::{judgements, modes};
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 use spandrel_bus::{
-    AlertState, ChangeKind, FitReason, FitVerdict, JudgementState, MonitoringState,
+    AlertState, ChangeKind, FitReason, FitVerdict, JudgementState, ModeState, MonitoringState,
     UndecidedBecause,
 };
 use spandrel_service::Refused;
@@ -55,6 +55,13 @@ struct Metrics {
     lasting_loss: Gauges,
     evidence: Gauges,
     judged_epoch: Gauges,
+    mode_state: Gauges,
+    mode_frequency: Gauges,
+    mode_frequency_std: Gauges,
+    mode_damping: Gauges,
+    mode_damping_std: Gauges,
+    mode_machine: Gauges,
+    mode_epoch: Gauges,
     time: Gauges,
     age: Gauges,
     lag: Gauges,
@@ -211,6 +218,41 @@ impl Metrics {
             "judgement_epoch_seconds",
             "Middle of the last epoch, seconds since the Unix epoch",
             &self.judged_epoch,
+        );
+        gauge(
+            "mode_state",
+            "1 for the state of a declared mode, 0 for the others",
+            &self.mode_state,
+        );
+        gauge(
+            "mode_frequency_hertz",
+            "Natural frequency of a declared mode in the last epoch",
+            &self.mode_frequency,
+        );
+        gauge(
+            "mode_frequency_std_hertz",
+            "Standard deviation of the natural frequency",
+            &self.mode_frequency_std,
+        );
+        gauge(
+            "mode_damping_ratio",
+            "Damping ratio of a declared mode in the last epoch",
+            &self.mode_damping,
+        );
+        gauge(
+            "mode_damping_std_ratio",
+            "Standard deviation of the damping ratio",
+            &self.mode_damping_std,
+        );
+        gauge(
+            "mode_machine",
+            "1 if a machine runs at the frequency of a declared mode, otherwise 0",
+            &self.mode_machine,
+        );
+        gauge(
+            "mode_epoch_seconds",
+            "End of the last epoch of a declared mode, seconds since the Unix epoch",
+            &self.mode_epoch,
         );
         gauge(
             "measured_time_seconds",
@@ -432,6 +474,32 @@ impl Metrics {
                 );
             }
         }
+        for display in modes(store) {
+            let name = display.mode.as_str();
+            for state in ModeState::ALL {
+                let labels = vec![
+                    structure(),
+                    ("mode", name.to_owned()),
+                    ("state", state.as_str().to_owned()),
+                ];
+                let holds = f64::from(u8::from(state == display.state));
+                self.mode_state.get_or_create(&labels).set(holds);
+            }
+            let machine = f64::from(u8::from(display.machine));
+            set(&self.mode_machine, "mode", name, machine);
+            set(&self.mode_epoch, "mode", name, display.time_ns as f64 / 1e9);
+            let Some(estimate) = &display.estimate else {
+                continue;
+            };
+            for (gauges, value) in [
+                (&self.mode_frequency, estimate.frequency_hz),
+                (&self.mode_frequency_std, estimate.frequency_std_hz),
+                (&self.mode_damping, estimate.damping),
+                (&self.mode_damping_std, estimate.damping_std),
+            ] {
+                set(gauges, "mode", name, value);
+            }
+        }
         let whole = vec![structure()];
         let overview = overview(store);
         if let Some(time_s) = overview.time_s {
@@ -484,7 +552,9 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{air, alert, at, demo, demo_with_air, fit, hear, lasting_loss, undecided};
+    use crate::testing::{
+        air, alert, at, demo, demo_with_air, fit, hear, lasting_loss, mode, undecided,
+    };
     use spandrel_listener::Input;
 
     #[test]
@@ -546,6 +616,29 @@ mod tests {
             assert!(text.lines().any(|found| found == line), "{line}\n{text}");
         }
         assert!(!text.contains("quantity=\"storey-1\""), "{text}");
+    }
+
+    #[test]
+    fn a_declared_mode_has_its_frequency_and_damping_with_their_deviations() {
+        let mut store = demo_with_air();
+        store.handle(Input::Mode(Box::new(mode("bending", 600))));
+        // The structure file does not declare this mode.
+        store.handle(Input::Mode(Box::new(mode("torsion", 600))));
+        let text = metrics(std::iter::once(&store), &BTreeMap::new()).unwrap();
+        let labels = "structure=\"demo\",mode=\"bending\"";
+        for line in [
+            format!("spandrel_mode_state{{{labels},state=\"tracked\"}} 1.0"),
+            format!("spandrel_mode_state{{{labels},state=\"lost\"}} 0.0"),
+            format!("spandrel_mode_frequency_hertz{{{labels}}} 1.25"),
+            format!("spandrel_mode_frequency_std_hertz{{{labels}}} 0.01"),
+            format!("spandrel_mode_damping_ratio{{{labels}}} 0.02"),
+            format!("spandrel_mode_damping_std_ratio{{{labels}}} 0.002"),
+            format!("spandrel_mode_machine{{{labels}}} 0.0"),
+            format!("spandrel_mode_epoch_seconds{{{labels}}} 600.0"),
+        ] {
+            assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+        }
+        assert!(!text.contains("torsion"), "{text}");
     }
 
     #[test]

@@ -38,6 +38,7 @@ const NEEDS: Needs = Needs {
         T::SensorHealth,
         T::Conditions,
         T::Judgements,
+        T::Modes,
         T::Classes,
         T::Nodes,
         T::Fit,

@@ -101,6 +101,7 @@ impl Store {
             Input::Node(m) => self.has_node(m.node.as_str()),
             Input::Condition(m) | Input::StandingCondition(m, _) => self.has_condition(m),
             Input::Judgement(m) => self.has_judged(m.quantity.as_str()),
+            Input::Mode(m) => self.has_mode(m.mode.as_str()),
             Input::Alert(m) | Input::StandingAlert(m) => self.has_parameter(m.parameter.as_str()),
             Input::Acknowledgement(m) => self.has_parameter(m.parameter.as_str()),
             // In distributed identification, samples are not replayed from a recording.
@@ -130,6 +131,14 @@ impl Store {
             }
             Input::Condition(m) => {
                 self.push(Kind::Condition, m.name.as_str(), m.time_ns, &[m.value]);
+            }
+            Input::Mode(m) => {
+                let last = self.state.modes.get(m.mode.as_str());
+                let is_repeated = last.is_some_and(|last| last.time_ns == m.time_ns);
+                if let (Some(estimate), false) = (&m.estimate, is_repeated) {
+                    let values = [estimate.frequency_hz, estimate.frequency_std_hz];
+                    self.push(Kind::Mode, m.mode.as_str(), m.time_ns, &values);
+                }
             }
             Input::Classes(m) => self.plot_classes(m),
             Input::Node(m) => {
@@ -175,6 +184,10 @@ impl Store {
 
     fn has_judged(&self, name: &str) -> bool {
         self.about.judged.iter().any(|quantity| quantity == name)
+    }
+
+    fn has_mode(&self, name: &str) -> bool {
+        self.about.modes.iter().any(|mode| mode.name == name)
     }
 
     /// Returns `true` if the structure file has the condition, in the unit of the message.
@@ -280,7 +293,12 @@ impl Store {
                 | EventKind::StateLost
                 | EventKind::StateBack
                 | EventKind::LastingChange
-                | EventKind::Annotation => false,
+                | EventKind::Annotation
+                | EventKind::ModeProposed
+                | EventKind::ModeLost
+                | EventKind::ModeFound
+                | EventKind::ModePaired
+                | EventKind::ModeParted => false,
             };
         }
         self.events.push_front(event);
@@ -352,6 +370,7 @@ impl Store {
             Kind::Consistency => of == ALL_CHANNELS,
             Kind::Class => self.series.contains_key(name),
             Kind::Node => self.has_node(of),
+            Kind::Mode => self.has_mode(of),
             Kind::Condition => {
                 let mut conditions = self.about.conditions.iter();
                 conditions.any(|condition| condition.name == of)

@@ -5,8 +5,8 @@ use crate::store::Store;
 use spandrel_bus::{
     AlertMessage, AlertState, ChangeKind, ChannelMonitoring, ConditionDisplay, CredibleInterval,
     DayExpectation, FitDisplay, FitReason, FitVerdict, JudgementDisplay, JudgementState,
-    LastingChange, LossDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay,
-    Service, UndecidedBecause,
+    LastingChange, LossDisplay, ModeDisplay, ModeEstimate, ModeState, MonitoringDisplay,
+    MonitoringState, Name, ParameterDisplay, Service, UndecidedBecause,
 };
 use spandrel_listener::{Input, Instance};
 use spandrel_structure::Structure;
@@ -25,12 +25,13 @@ pub(crate) fn demo() -> Store {
     ))
 }
 
-/// Returns the store of the demo with a temperature of the air, expected every 10 s, and with the
-/// judgement of storey 2.
+/// Returns the store of the demo with a temperature of the air, expected every 10 s, with the
+/// judgement of storey 2, and with the mode `bending`.
 pub(crate) fn demo_with_air() -> Store {
     let text = include_str!("../../../docs/examples/demo.toml");
     let air = "[[condition]]\nname = \"air\"\nunit = \"degC\"\nrange = [-40, 60]\ninterval-s = 10\n\
-         [judge]\n[[judge.quantity]]\nname = \"storey-2\"\nis = \"stiffness\"\n";
+         [judge]\n[[judge.quantity]]\nname = \"storey-2\"\nis = \"stiffness\"\n\
+         [modal]\n[[modal.mode]]\nname = \"bending\"\nfrequency-hz = 1.25\n";
     let structure = Structure::parse(&format!("{text}\n{air}"), Path::new("demo.toml"));
     Store::new(About::new(&structure.unwrap()))
 }
@@ -45,6 +46,30 @@ pub(crate) fn air(second: i64, value: f64) -> ConditionDisplay {
         unit: "degC".to_owned(),
         interval_s: Some(10.0),
         instrument: Some("mast".to_owned()),
+    }
+}
+
+/// Returns a tracked mode after an epoch that ends at `second`.
+pub(crate) fn mode(mode: &str, second: i64) -> ModeDisplay {
+    ModeDisplay {
+        structure: name("demo"),
+        mode: name(mode),
+        time_ns: second * 1_000_000_000,
+        epoch_s: 600.0,
+        epochs: 1,
+        state: ModeState::Tracked,
+        partner: None,
+        estimate: Some(ModeEstimate {
+            frequency_hz: 1.25,
+            frequency_std_hz: 0.01,
+            damping: 0.02,
+            damping_std: 0.002,
+            shape: Vec::new(),
+            amplitude: 0.1,
+        }),
+        presence: 1.0,
+        machine: false,
+        declared_hz: 1.25,
     }
 }
 

@@ -28,11 +28,13 @@ pub(crate) enum Kind {
     Node,
     /// A condition, such as a temperature: its value (unit of the condition).
     Condition,
+    /// The natural frequency of a declared mode, and its standard deviation (Hz).
+    Mode,
 }
 
 impl Kind {
     /// All kinds.
-    pub(crate) const ALL: [Self; 9] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::Parameter,
         Self::Loss,
         Self::Noise,
@@ -42,6 +44,7 @@ impl Kind {
         Self::Class,
         Self::Node,
         Self::Condition,
+        Self::Mode,
     ];
 
     /// Returns the word for the kind in requests.
@@ -56,6 +59,7 @@ impl Kind {
             Self::Class => "class",
             Self::Node => "node",
             Self::Condition => "condition",
+            Self::Mode => "mode",
         }
     }
 
@@ -70,13 +74,14 @@ impl Kind {
             Self::Class => &["plausibility"],
             Self::Node => &["distance", "distance_limit"],
             Self::Condition => &["value"],
+            Self::Mode => &["frequency", "std"],
         }
     }
 
     /// Creates an empty series of this kind.
     pub(crate) fn series(self) -> Series {
         Series::new(match self {
-            Self::Parameter | Self::Noise => &[Combine::Last, Combine::Last],
+            Self::Parameter | Self::Noise | Self::Mode => &[Combine::Last, Combine::Last],
             Self::Loss => &[
                 Combine::Last,
                 Combine::Last,
@@ -95,7 +100,7 @@ impl Kind {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct SeriesName {
     pub(crate) kind: Kind,
-    /// Name of the parameter, noise level, channel, class, node or condition.
+    /// Name of the parameter, noise level, channel, class, node, condition or mode.
     pub(crate) of: String,
 }
 

@@ -5,9 +5,9 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, FitDisplay, JudgementDisplay, LossDisplay, ModelClassDisplay,
-    Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, ParameterMonitoring, Phase,
-    Service, Status,
+    AlertMessage, AlertState, Event, FitDisplay, JudgementDisplay, LossDisplay, ModeDisplay,
+    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay,
+    ParameterMonitoring, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,6 +28,8 @@ pub(crate) struct Standing<'s> {
     conditions: Vec<ConditionView<'s>>,
     /// The judged quantities, in the order of the structure file.
     judgements: Vec<JudgementView<'s>>,
+    /// The declared modes, in the order of the structure file.
+    modes: Vec<&'s ModeDisplay>,
     /// Verdict on the fit, with its explanation.
     fit: Option<FitView<'s>>,
     training: bool,
@@ -110,6 +112,7 @@ impl<'s> Standing<'s> {
             nodes: &store.state.nodes,
             conditions: conditions(store).collect(),
             judgements: judgements(store).collect(),
+            modes: modes(store).collect(),
             fit: store.state.fit.as_ref().map(|display| FitView {
                 display,
                 words: display.words(),
@@ -133,6 +136,12 @@ pub(crate) fn judgements(store: &Store) -> impl Iterator<Item = JudgementView<'_
         display,
         word: display.word(),
     })
+}
+
+/// Returns the modes that have arrived, in the order of the structure file.
+pub(crate) fn modes(store: &Store) -> impl Iterator<Item = &ModeDisplay> {
+    let declared = store.about.modes.iter();
+    declared.filter_map(|mode| store.state.modes.get(mode.name.as_str()))
 }
 
 /// Returns the alert of each parameter.

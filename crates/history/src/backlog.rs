@@ -107,7 +107,7 @@ mod tests {
             structure: "spandrel/tower".to_owned(),
             number,
             points,
-            conditions: Vec::new(),
+            repeatable: Vec::new(),
             buckets,
             happened: Vec::new(),
         }

@@ -1,7 +1,9 @@
 //! The unit of writing, and its collection from messages.
 
 use crate::sums::Sums;
-use spandrel_bus::{Acknowledgement, AlertMessage, ConditionDisplay, CredibleInterval, Event};
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, ConditionDisplay, CredibleInterval, Event, ModeDisplay,
+};
 use spandrel_listener::Input;
 use spandrel_structure::{Condition, Structure};
 use std::collections::{BTreeMap, BTreeSet};
@@ -34,10 +36,12 @@ pub(crate) enum Kind {
     Node,
     /// A condition (in its unit), such as a temperature.
     Condition,
+    /// The natural frequency of a declared mode (Hz) with its standard deviation.
+    Mode,
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 8] = [
         Self::Parameter,
         Self::Loss,
         Self::Noise,
@@ -45,6 +49,7 @@ impl Kind {
         Self::Class,
         Self::Node,
         Self::Condition,
+        Self::Mode,
     ];
 
     /// Returns the name of the kind in queries and in the database.
@@ -57,6 +62,7 @@ impl Kind {
             Self::Class => "class",
             Self::Node => "node",
             Self::Condition => "condition",
+            Self::Mode => "mode",
         }
     }
 }
@@ -77,9 +83,9 @@ pub(crate) struct Batch {
     pub(crate) number: i64,
     /// Display values: series, time (ns), mean, standard deviation, probability of loss.
     pub(crate) points: Vec<(Series, i64, [f64; 3])>,
-    /// Values of conditions: series, time (ns), value. Their contributions to the minute, hour and
+    /// Values of conditions and modes, as in `points`. Their contributions to the minute, hour and
     /// day are computed when they are written, because they may be repeated.
-    pub(crate) conditions: Vec<(Series, i64, f64)>,
+    pub(crate) repeatable: Vec<(Series, i64, [f64; 3])>,
     /// Contributions of the display values to their minute, hour and day: series, resolution (s),
     /// start (s).
     pub(crate) buckets: BTreeMap<(Series, i64, i64), Sums>,
@@ -98,7 +104,7 @@ pub(crate) enum Happened {
 impl Batch {
     /// Returns the number of database rows.
     pub(crate) fn rows(&self) -> usize {
-        self.points.len() + self.conditions.len() + self.buckets.len() + self.happened.len()
+        self.points.len() + self.repeatable.len() + self.buckets.len() + self.happened.len()
     }
 }
 
@@ -111,7 +117,9 @@ pub(crate) struct Collector {
     declared: Vec<Condition>,
     now_ns: i64,
     points: Vec<(Series, i64, [f64; 3])>,
-    conditions: Vec<(Series, i64, f64)>,
+    repeatable: Vec<(Series, i64, [f64; 3])>,
+    /// Time of the last message of each mode (ns), which is repeated for late subscribers.
+    modes: BTreeMap<String, i64>,
     happened: Vec<Happened>,
     /// Time of the newest display value (ns since the Unix epoch, UTC).
     pub(crate) newest_ns: Option<i64>,
@@ -140,6 +148,8 @@ impl Collector {
             .conditions()
             .iter()
             .map(|condition| series(Kind::Condition, condition.name()));
+        let modes = structure.modal().into_iter().flat_map(|plan| &plan.modes);
+        let modes = modes.map(|mode| series(Kind::Mode, &mode.name));
         let levels = structure
             .noise_levels()
             .iter()
@@ -151,12 +161,14 @@ impl Collector {
                 .chain(nodes)
                 .chain(channels)
                 .chain(conditions)
+                .chain(modes)
                 .collect(),
             others: BTreeSet::new(),
             declared: structure.conditions().to_vec(),
             now_ns: i64::MAX,
             points: Vec::new(),
-            conditions: Vec::new(),
+            repeatable: Vec::new(),
+            modes: BTreeMap::new(),
             happened: Vec::new(),
             newest_ns: None,
             unknown: 0,
@@ -223,6 +235,7 @@ impl Collector {
                 }
             }
             Input::Condition(m) => self.take_condition(&m),
+            Input::Mode(m) => self.take_mode(&m),
             // The database stores a change once, however often it arrives.
             Input::Alert(alert) | Input::StandingAlert(alert) | Input::LoggedAlert(alert) => {
                 self.happened.push(Happened::Alert(Box::new(alert)));
@@ -269,9 +282,29 @@ impl Collector {
                     kind: Kind::Condition,
                     name: name.to_owned(),
                 };
-                self.conditions
-                    .push((series, message.time_ns, message.value));
+                self.repeatable
+                    .push((series, message.time_ns, [message.value, 0.0, 0.0]));
             }
+        }
+    }
+
+    /// Stores the frequency of a mode, unless the message is a repetition of the last one.
+    fn take_mode(&mut self, message: &ModeDisplay) {
+        let series = Series {
+            kind: Kind::Mode,
+            name: message.mode.to_string(),
+        };
+        if !self.known.contains(&series) {
+            self.unknown += 1;
+            return;
+        }
+        let last = self.modes.insert(series.name.clone(), message.time_ns);
+        let Some(estimate) = &message.estimate else {
+            return;
+        };
+        if last != Some(message.time_ns) {
+            let values = [estimate.frequency_hz, estimate.frequency_std_hz, 0.0];
+            self.repeatable.push((series, message.time_ns, values));
         }
     }
 
@@ -295,12 +328,12 @@ impl Collector {
 
     /// Returns the messages collected since the last call, or `None` if there were none.
     pub(crate) fn take(&mut self, number: i64) -> Option<Batch> {
-        let (points, conditions, happened) = (
+        let (points, repeatable, happened) = (
             std::mem::take(&mut self.points),
-            std::mem::take(&mut self.conditions),
+            std::mem::take(&mut self.repeatable),
             std::mem::take(&mut self.happened),
         );
-        if points.is_empty() && conditions.is_empty() && happened.is_empty() {
+        if points.is_empty() && repeatable.is_empty() && happened.is_empty() {
             return None;
         }
         Some(Batch {
@@ -308,7 +341,7 @@ impl Collector {
             number,
             buckets: buckets(&points),
             points,
-            conditions,
+            repeatable,
             happened,
         })
     }

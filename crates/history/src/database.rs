@@ -41,7 +41,7 @@ pub(crate) struct Database {
     set_aside: Arc<AtomicU64>,
     /// Corrupt files under their new names, until they are reported.
     corrupt: Arc<std::sync::Mutex<Vec<CorruptFile>>>,
-    /// Number of values of conditions that were not newer than those in the database.
+    /// Number of values of conditions and modes that were not newer than those in the database.
     repeated: Arc<AtomicU64>,
 }
 
@@ -180,7 +180,7 @@ impl Database {
         self.set_aside.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of values of conditions that were not newer than those in the database.
+    /// Returns the number of values of conditions and modes that were not newer than those in the database.
     pub(crate) fn repeated(&self) -> u64 {
         self.repeated.load(Ordering::Relaxed)
     }

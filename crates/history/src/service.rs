@@ -326,7 +326,7 @@ impl HistoryService {
             ("dropped-values", points),
             ("dropped-rows", rows),
             ("rows-set-aside", self.database.set_aside()),
-            ("repeated-conditions", self.database.repeated()),
+            ("repeated-values", self.database.repeated()),
         ];
         let [failures, files] = self.waiting.trouble().drops();
         let common: Vec<(&str, u64)> = common.into_iter().chain([failures, files]).collect();
@@ -523,7 +523,8 @@ fn may_come(named: &BTreeSet<Series>, series: &Series) -> bool {
         | Kind::Noise
         | Kind::Outlier
         | Kind::Node
-        | Kind::Condition => named.contains(series),
+        | Kind::Condition
+        | Kind::Mode => named.contains(series),
     }
 }
 

@@ -5,10 +5,14 @@
 //! time to arrive. Its value of a quantity is the geometric mean of the estimates, because the
 //! judgement concerns ln(value). An estimate counts only if the present data reveal damage of its
 //! parameter, and if it is known whether its samples are measured.
+//!
+//! The natural frequency of a declared mode counts for the epoch in which its own epoch ends. It
+//! counts also while the monitoring is blind, because it depends on no model. A mode that is paired,
+//! or at whose frequency a machine runs, does not count.
 
 use spandrel_bus::{
-    ConditionDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay,
-    REFERENCE_IS_LEARNT,
+    ConditionDisplay, ModeDisplay, ModeState, MonitoringDisplay, MonitoringState, Name,
+    ParameterDisplay, REFERENCE_IS_LEARNT,
 };
 use spandrel_judge::{ConditionKind, Epoch};
 use spandrel_structure::Condition;
@@ -35,11 +39,20 @@ const NS_PER_S: f64 = 1e9;
 pub(crate) struct Sources {
     /// Length of an epoch (ns).
     pub(crate) length_ns: i64,
-    /// Parameter of each quantity, in the order of the settings. `None` if the quantity is no
-    /// parameter of the structure.
-    pub(crate) parameters: Vec<Option<Name>>,
+    /// Source of each quantity, in the order of the settings. `None` if the quantity is neither a
+    /// parameter nor a declared mode of the structure.
+    pub(crate) quantities: Vec<Option<QuantitySource>>,
     /// Conditions, in the order of the settings.
     pub(crate) conditions: Vec<ConditionSource>,
+}
+
+/// Where the live values of a quantity come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum QuantitySource {
+    /// The estimates of a parameter.
+    Parameter(Name),
+    /// The frequencies of a declared mode.
+    Mode(Name),
 }
 
 /// A condition of the judgement.
@@ -63,6 +76,7 @@ pub(crate) enum EpochInput {
     Measured(Option<bool>),
     Condition(ConditionDisplay),
     Parameter(ParameterDisplay),
+    Mode(Box<ModeDisplay>),
 }
 
 /// An epoch that is over.
@@ -100,6 +114,8 @@ pub(crate) struct Epochs {
     now: Duration,
     clock_ns: i64,
     newest_ns: Option<i64>,
+    /// Time of the last message of each mode, which is repeated (ns).
+    modes: BTreeMap<Name, i64>,
     refused: BTreeMap<&'static str, u64>,
 }
 
@@ -151,6 +167,7 @@ impl Epochs {
             now: Duration::ZERO,
             clock_ns: i64::MAX,
             newest_ns: closed_ns,
+            modes: BTreeMap::new(),
             refused: BTreeMap::new(),
             sources,
         }
@@ -183,6 +200,11 @@ impl Epochs {
                     *self.refused.entry(reason).or_default() += 1;
                 }
             }
+            EpochInput::Mode(display) => {
+                if let Err(reason) = self.take_mode(&display, closed) {
+                    *self.refused.entry(reason).or_default() += 1;
+                }
+            }
         }
     }
 
@@ -191,8 +213,8 @@ impl Epochs {
         display: &ParameterDisplay,
         closed: &mut Vec<ClosedEpoch>,
     ) -> Result<(), &'static str> {
-        let is_it = |parameter: &Option<Name>| parameter.as_ref() == Some(&display.parameter);
-        let Some(index) = self.sources.parameters.iter().position(is_it) else {
+        let source = QuantitySource::Parameter(display.parameter.clone());
+        let Some(index) = self.quantity(&source) else {
             return Ok(()); // not judged
         };
         if self.is_ahead(display.time_ns) {
@@ -211,16 +233,63 @@ impl Epochs {
         if display.mean.is_nan() || display.mean <= 0.0 {
             return Err("impossible-estimates");
         }
-        let quantities = self.sources.parameters.len();
+        self.add(number, index, is_measured, [display.mean, display.std]);
+        Ok(())
+    }
+
+    fn take_mode(
+        &mut self,
+        display: &ModeDisplay,
+        closed: &mut Vec<ClosedEpoch>,
+    ) -> Result<(), &'static str> {
+        let source = QuantitySource::Mode(display.mode.clone());
+        let Some(index) = self.quantity(&source) else {
+            return Ok(()); // not judged
+        };
+        if self.is_ahead(display.time_ns) {
+            return Err("ahead-of-clock-modes");
+        }
+        let last = self.modes.insert(display.mode.clone(), display.time_ns);
+        if last == Some(display.time_ns) {
+            return Ok(()); // repeated for late subscribers
+        }
+        let number = display.time_ns.div_euclid(self.sources.length_ns);
+        if self.closed.is_some_and(|closed| number <= closed) {
+            return Err("late-modes");
+        }
+        self.newest_ns = self.newest_ns.max(Some(display.time_ns));
+        self.close_before(number.saturating_sub(1), closed);
+        let Some(estimate) = &display.estimate else {
+            return Ok(()); // missing or lost
+        };
+        let is_measured = self.is_measured.ok_or("modes-of-unknown-origin")?;
+        if display.state == ModeState::Paired {
+            return Err("paired-modes");
+        }
+        if display.machine {
+            return Err("machine-modes");
+        }
+        let value = [estimate.frequency_hz, estimate.frequency_std_hz];
+        self.add(number, index, is_measured, value);
+        Ok(())
+    }
+
+    fn quantity(&self, source: &QuantitySource) -> Option<usize> {
+        let mut quantities = self.sources.quantities.iter();
+        quantities.position(|known| known.as_ref() == Some(source))
+    }
+
+    /// Adds a value with its standard deviation to an epoch.
+    fn add(&mut self, number: i64, index: usize, is_measured: bool, [value, std]: [f64; 2]) {
+        let quantities = self.sources.quantities.len();
         let open = self.open.entry(number).or_insert_with(|| Open {
             quantities: vec![Sums::default(); quantities],
             is_measured: true,
         });
         open.is_measured &= is_measured;
         if let Some(sums) = open.quantities.get_mut(index) {
-            sums.add(display.mean, display.std);
+            sums.add(value, std);
         }
-        Ok(())
     }
 
     /// Returns `true` if the present data reveal damage of a parameter. While the alert service

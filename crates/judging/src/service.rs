@@ -2,7 +2,7 @@
 
 use crate::annotations::{AnnotationLog, Refusal};
 use crate::epoch_log::EpochLog;
-use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, Sources};
+use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, QuantitySource, Sources};
 use crate::error::JudgingError;
 use crate::judging::Judging;
 use spandrel_bus::{
@@ -15,13 +15,13 @@ use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
-use spandrel_structure::{JudgePlan, Structure};
+use spandrel_structure::{JudgePlan, Parameter, Structure};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
-/// What the epochs are formed of. Conditions precede the estimates, because an estimate closes
+/// What the epochs are formed of. Conditions precede the estimates and modes, because these close
 /// epochs.
 const NEEDS: Needs = Needs {
     topics: &[
@@ -29,6 +29,7 @@ const NEEDS: Needs = Needs {
         DisplayTopic::Monitoring,
         DisplayTopic::Conditions,
         DisplayTopic::Parameters,
+        DisplayTopic::Modes,
     ],
     services: &[Service::Alert, Service::Feed, Service::Sensor],
     logs: &[],
@@ -278,6 +279,7 @@ impl JudgeService {
                     inputs.push(EpochInput::Condition(display));
                 }
                 Input::Parameter(display) => inputs.push(EpochInput::Parameter(display)),
+                Input::Mode(display) => inputs.push(EpochInput::Mode(display)),
                 other => self.state.handle(other, &mut Vec::new()),
             }
         }
@@ -507,12 +509,20 @@ fn conditions(plan: &JudgePlan) -> Result<Vec<Name>, JudgingError> {
 }
 
 fn sources(structure: &Structure, plan: &JudgePlan) -> Result<Sources, JudgingError> {
-    let quantities = plan.settings.quantities.iter();
-    let parameters = quantities.map(|quantity| {
-        let mut parameters = structure.parameters().iter();
-        let is_parameter = quantity.kind == QuantityKind::Stiffness
-            && parameters.any(|parameter| parameter.name() == quantity.name);
-        is_parameter.then(|| name(&quantity.name)).transpose()
+    let sources = plan.settings.quantities.iter().map(|quantity| {
+        let parameters = structure.parameters().iter().map(Parameter::name);
+        let modes = structure.modal().into_iter().flat_map(|plan| &plan.modes);
+        let modes = modes.map(|mode| mode.name.as_str());
+        let is_it = |known: &str| known == quantity.name;
+        match quantity.kind {
+            QuantityKind::Stiffness if parameters.into_iter().any(is_it) => {
+                Ok(Some(QuantitySource::Parameter(name(&quantity.name)?)))
+            }
+            QuantityKind::Frequency if modes.into_iter().any(is_it) => {
+                Ok(Some(QuantitySource::Mode(name(&quantity.name)?)))
+            }
+            QuantityKind::Stiffness | QuantityKind::Frequency => Ok(None),
+        }
     });
     let conditions = plan.settings.conditions.iter().map(|condition| {
         let mut declared = structure.conditions().iter();
@@ -526,23 +536,24 @@ fn sources(structure: &Structure, plan: &JudgePlan) -> Result<Sources, JudgingEr
     });
     Ok(Sources {
         length_ns: i64::from(plan.epoch_s).saturating_mul(1_000_000_000),
-        parameters: parameters.collect::<Result<_, JudgingError>>()?,
+        quantities: sources.collect::<Result<_, JudgingError>>()?,
         conditions: conditions.collect::<Result<_, JudgingError>>()?,
     })
 }
 
 /// Warns of quantities that no live value will ever reach.
 fn warn_without_source(structure: &Structure, plan: &JudgePlan, sources: &Sources) {
-    let quantities = plan.settings.quantities.iter().zip(&sources.parameters);
+    let quantities = plan.settings.quantities.iter().zip(&sources.quantities);
     let without: Vec<&str> = quantities
-        .filter(|(_, parameter)| parameter.is_none())
+        .filter(|(_, source)| source.is_none())
         .map(|(quantity, _)| quantity.name.as_str())
         .collect();
     if !without.is_empty() {
         warn!(
             structure = structure.name(),
             quantities = without.join(", "),
-            "no live values: only a stiffness with the name of a parameter has them"
+            "no live values: only a stiffness with the name of a parameter and a frequency with the name \
+             of a declared mode have them"
         );
     }
 }

@@ -1,7 +1,10 @@
 //! Messages and settings for tests.
 
-use crate::epochs::{ClosedEpoch, ConditionSource, Sources};
-use spandrel_bus::{ConditionDisplay, MonitoringDisplay, MonitoringState, Name, ParameterDisplay};
+use crate::epochs::{ClosedEpoch, ConditionSource, QuantitySource, Sources};
+use spandrel_bus::{
+    ConditionDisplay, ModeDisplay, ModeEstimate, ModeState, MonitoringDisplay, MonitoringState,
+    Name, ParameterDisplay,
+};
 use spandrel_judge::{Condition, ConditionKind, Epoch, Quantity, QuantityKind, Season, Settings};
 use spandrel_structure::JudgePlan;
 
@@ -17,7 +20,7 @@ pub(crate) fn name(text: &str) -> Name {
 pub(crate) fn sources() -> Sources {
     Sources {
         length_ns: i64::from(EPOCH_S) * S,
-        parameters: vec![Some(name("pier")), None],
+        quantities: vec![Some(QuantitySource::Parameter(name("pier"))), None],
         conditions: vec![ConditionSource {
             name: name("deck"),
             kind: ConditionKind::Celsius,
@@ -92,5 +95,29 @@ pub(crate) fn closed(number: i64) -> ClosedEpoch {
         },
         deviations: vec![Some(0.01 / (odd + 3.0)), None],
         is_measured: true,
+    }
+}
+
+/// Returns the mode `bending` after an epoch that ends at `second`.
+pub(crate) fn frequency(second: i64, frequency_hz: f64) -> ModeDisplay {
+    ModeDisplay {
+        structure: name("bridge"),
+        mode: name("bending"),
+        time_ns: second * S,
+        epoch_s: 300.0,
+        epochs: 1,
+        state: ModeState::Tracked,
+        partner: None,
+        estimate: Some(ModeEstimate {
+            frequency_hz,
+            frequency_std_hz: 0.001 * frequency_hz,
+            damping: 0.02,
+            damping_std: 0.002,
+            shape: Vec::new(),
+            amplitude: 0.1,
+        }),
+        presence: 1.0,
+        machine: false,
+        declared_hz: 2.0,
     }
 }

@@ -2,9 +2,9 @@
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, ConditionDisplay, EstimateBlock, Event, FitDisplay, HistoryLog,
-    JudgementDisplay, KeyFamily as K, LossDisplay, ModelClassDisplay, MonitoringDisplay, Name,
-    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SensorHealthDisplay,
-    Service, Status, Topic, parse_key,
+    JudgementDisplay, KeyFamily as K, LossDisplay, ModeDisplay, ModelClassDisplay,
+    MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress,
+    SensorHealthDisplay, Service, Status, Topic, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -30,6 +30,8 @@ pub enum Input {
     StandingCondition(ConditionDisplay, Duration),
     /// The judgement of a quantity.
     Judgement(JudgementDisplay),
+    /// A declared mode.
+    Mode(Box<ModeDisplay>),
     /// The plausibility of the model classes.
     Classes(ModelClassDisplay),
     /// The station's assessment of a node.
@@ -122,6 +124,7 @@ impl Input {
                 (&m.structure, Topic::new(K::Condition, &m.name))
             }
             Self::Judgement(m) => (&m.structure, Topic::new(K::Judgement, &m.quantity)),
+            Self::Mode(m) => (&m.structure, Topic::new(K::Mode, &m.mode)),
             Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
             Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),
             Self::Fit(m) => (&m.structure, Topic::single(K::Fit)),

@@ -45,6 +45,8 @@ pub enum DisplayTopic {
     Conditions,
     /// [`Input::Judgement`]
     Judgements,
+    /// [`Input::Mode`]
+    Modes,
     /// [`Input::Classes`]
     Classes,
     /// [`Input::Node`]
@@ -267,6 +269,7 @@ impl Place {
             }
             T::Conditions => self.queue(K::Condition, |_, m| Input::Condition(m)).await,
             T::Judgements => self.queue(K::Judgement, |_, m| Input::Judgement(m)).await,
+            T::Modes => self.queue(K::Mode, |_, m| Input::Mode(Box::new(m))).await,
             T::Classes => self.queue(K::ModelClass, |_, m| Input::Classes(m)).await,
             T::Nodes => self.queue(K::Node, |_, m| Input::Node(m)).await,
             T::Fit => self.queue(K::Fit, |_, m| Input::Fit(m)).await,

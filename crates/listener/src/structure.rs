@@ -3,9 +3,9 @@
 use crate::input::{Input, Instance};
 use spandrel_bus::{
     AlertMessage, Arrivals, ConditionDisplay, FitDisplay, JudgementDisplay, LossDisplay,
-    MAX_CHANNELS, ModelClassDisplay, MonitoringDisplay, MonitoringState, Name, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, ParameterMonitoring, SensorHealthDisplay,
-    Service, Status, is_without_date, reported_pace,
+    MAX_CHANNELS, ModeDisplay, ModelClassDisplay, MonitoringDisplay, MonitoringState, Name,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, ParameterMonitoring,
+    SensorHealthDisplay, Service, Status, is_without_date, reported_pace,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -34,6 +34,8 @@ pub struct StructureState {
     pub conditions: BTreeMap<Name, ConditionState>,
     /// Last judgement of each quantity.
     pub judgements: BTreeMap<Name, JudgementDisplay>,
+    /// Last message of each declared mode.
+    pub modes: BTreeMap<Name, ModeDisplay>,
     /// State of the model classes. `None` if there is a single model or no message has arrived.
     pub classes: Option<ModelClassDisplay>,
     /// Verdict on the fit. `None` before the first message, and if no service judges it.
@@ -173,6 +175,9 @@ impl StructureState {
             Input::Judgement(display) => {
                 let name = display.quantity.clone();
                 keep(&mut self.judgements, name, display, left_out);
+            }
+            Input::Mode(display) => {
+                keep(&mut self.modes, display.mode.clone(), *display, left_out);
             }
             Input::Classes(display) => self.classes = Some(display),
             Input::Node(display) => {

@@ -263,6 +263,14 @@ impl EpochCovariances {
         self.blocks.len()
     }
 
+    /// Returns the standard deviation of a channel in the band of the epoch, in its unit. `None` if
+    /// the channel takes no part.
+    #[must_use]
+    pub fn channel_std(&self, channel: usize) -> Option<f64> {
+        let at = self.outputs.iter().position(|output| *output == channel)?;
+        self.std.get(at).copied()
+    }
+
     /// Returns the epoch without one of its blocks, for a jackknife.
     #[must_use]
     pub fn without_block(&self, block: usize) -> Self {

@@ -34,6 +34,7 @@
 //! - [`ModalSettings`]: channels, band, epochs and orders
 //! - [`ModalStream`]: filters, decimates and accumulates frames into an [`Epoch`];
 //!   [`BandLadder`] does so in several bands
+//! - [`EpochStream`]: cuts frames with gaps into epochs, live and from a recording alike
 //! - [`identify()`]: from an epoch to [`Mode`]s, with uncertainty
 //! - [`Tracker`]: assigns the modes of each epoch to known ones, and proposes new ones
 //! - [`RecordModes`]: all of this for a recording
@@ -44,6 +45,7 @@
 mod cluster;
 mod covariance;
 mod dense;
+mod epoch_stream;
 mod error;
 mod identify;
 mod ladder;
@@ -59,6 +61,7 @@ mod stream;
 mod tracking;
 
 pub use covariance::EpochCovariances;
+pub use epoch_stream::{EpochStream, LONGEST_GAP_S};
 pub use error::ModalError;
 pub use identify::{
     HIGHEST_DAMPING, Identified, MACHINE_DAMPING, MACHINE_KURTOSIS, Mode, Source, identify,
@@ -66,9 +69,12 @@ pub use identify::{
 pub use ladder::{BandLadder, LadderEpoch, LadderModes, highest_band_end_hz};
 pub use law::{Uncertainty, smallest_uncertainty};
 pub use realisation::Pole;
-pub use record_modes::{EpochModes, ModeSummary, RecordModes};
+pub use record_modes::{EpochModes, ModeSummary, RecordModes, SAME_MACHINE};
 pub use settings::ModalSettings;
 pub use shape::{mac, phase_collinearity};
 pub use spectrum::EpochSpectrum;
 pub use stream::{ChannelUse, Epoch, MOST_MISSING, ModalStream};
-pub use tracking::{Assignment, ModeId, TrackEvent, TrackedMode, Tracker};
+pub use tracking::{
+    Assignment, LEAST_PRESENCE, LOST_AFTER, ModeId, PRESENCE_WINDOW, TrackEvent, TrackedMode,
+    Tracker,
+};

@@ -3,14 +3,12 @@
 use crate::ModalError;
 use crate::identify::{Mode, Source};
 use crate::ladder::{LadderEpoch, LadderModes};
-use crate::tracking::{ModeId, Tracker};
+use crate::tracking::{LEAST_PRESENCE, ModeId, Tracker};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Share of the epochs in which a mode of a record must be present.
-const LEAST_PRESENCE: f64 = 0.3;
 /// Relative difference of the frequencies of one machine in two epochs.
-const SAME_MACHINE: f64 = 0.005;
+pub const SAME_MACHINE: f64 = 0.005;
 
 /// The modes of one epoch of a record.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,7 +75,13 @@ impl RecordModes {
     /// # Errors
     /// Too few channels are usable, or a decomposition does not converge.
     pub fn push(&mut self, epoch: &LadderEpoch) -> Result<(), ModalError> {
-        let found = epoch.identify()?;
+        self.take(epoch, epoch.identify()?);
+        Ok(())
+    }
+
+    /// Assigns the modes of an epoch that [`LadderEpoch::identify()`] has found, as
+    /// [`Self::push()`] does.
+    pub fn take(&mut self, epoch: &LadderEpoch, found: LadderModes) {
         let assignment = self.tracker.update(&found.modes);
         for id in assignment.of_mode.iter().flatten() {
             self.tracker.adopt(*id);
@@ -89,7 +93,6 @@ impl RecordModes {
             found,
             of_mode: assignment.of_mode,
         });
-        Ok(())
     }
 
     /// Returns the epochs.

@@ -97,10 +97,18 @@ impl ModalSettings {
         (filling_frames(factor) + 2 * self.block_rows * factor) as f64 / self.rate_hz
     }
 
-    /// Checks the settings and returns the lengths that follow from them.
+    /// Checks the settings.
     ///
     /// # Errors
     /// Returns an error that names the first wrong value and the allowed ones.
+    pub fn validate(&self) -> Result<(), ModalError> {
+        self.layout().map(|_| ())
+    }
+
+    /// Checks the settings and returns the lengths that follow from them.
+    ///
+    /// # Errors
+    /// As for [`Self::validate()`].
     pub(crate) fn layout(&self) -> Result<Layout, ModalError> {
         self.check()?;
         let rate_hz = self.decimated_rate_hz();

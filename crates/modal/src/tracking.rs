@@ -24,9 +24,11 @@ const DRIFT: f64 = 0.005;
 /// Share of a new shape in the tracked shape.
 const SHAPE_GAIN: f64 = 0.2;
 /// Number of epochs in which the presence of a mode counts.
-const WINDOW: usize = 20;
+pub const PRESENCE_WINDOW: usize = 20;
 /// Smallest share of epochs in which a mode is present. Below it, nothing is stated about the mode.
-const LEAST_PRESENCE: f64 = 0.3;
+pub const LEAST_PRESENCE: f64 = 0.3;
+/// Number of epochs before a mode can be lost.
+pub const LOST_AFTER: usize = 5;
 /// Number of consecutive epochs without the mode after which a candidate is dropped.
 const FORGET_AFTER: usize = 3;
 /// Factor by which the cost must exceed the gate before a pair parts again.
@@ -135,7 +137,7 @@ impl TrackedMode {
     }
 
     fn note(&mut self, present: bool) {
-        if self.present.len() == WINDOW {
+        if self.present.len() == PRESENCE_WINDOW {
             self.present.pop_front();
         }
         self.present.push_back(present);
@@ -199,6 +201,12 @@ impl Tracker {
             .filter(|candidate| self.proposed.contains(&candidate.id))
     }
 
+    /// Returns a mode that is not adopted. `None` if there is no such candidate.
+    #[must_use]
+    pub fn candidate(&self, id: ModeId) -> Option<&TrackedMode> {
+        self.candidates.iter().find(|mode| mode.id == id)
+    }
+
     /// Returns the pairs of modes that cannot be told apart.
     pub fn pairs(&self) -> impl Iterator<Item = (ModeId, ModeId)> {
         self.pairs.iter().copied()
@@ -212,6 +220,14 @@ impl Tracker {
         self.modes.push(self.candidates.remove(at));
         self.proposed.remove(&id);
         true
+    }
+
+    /// Ends the tracking of an adopted mode. Returns `false` if there is no such mode.
+    pub fn release(&mut self, id: ModeId) -> bool {
+        let before = self.modes.len();
+        self.modes.retain(|mode| mode.id != id);
+        self.pairs.retain(|(a, b)| *a != id && *b != id);
+        self.modes.len() < before
     }
 
     /// Assigns the modes of an epoch.
@@ -246,10 +262,8 @@ impl Tracker {
     }
 
     fn note_losses(&mut self, events: &mut Vec<TrackEvent>) {
-        /// Number of epochs before a mode can be lost.
-        const LEAST_EPOCHS: usize = 5;
         for mode in &mut self.modes {
-            let is_lost = mode.present.len() >= LEAST_EPOCHS && mode.presence() < LEAST_PRESENCE;
+            let is_lost = mode.present.len() >= LOST_AFTER && mode.presence() < LEAST_PRESENCE;
             match (mode.is_lost, is_lost) {
                 (false, true) => events.push(TrackEvent::Lost(mode.id)),
                 (true, false) => events.push(TrackEvent::Found(mode.id)),

@@ -57,6 +57,9 @@ fn level(event: &Event) -> Level {
         | EventKind::Annotation
         | EventKind::CaughtUp
         | EventKind::HistoryBack
+        | EventKind::ModeFound
+        | EventKind::ModeParted
+        | EventKind::ModeProposed
         | EventKind::StateBack => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
@@ -72,6 +75,8 @@ fn level(event: &Event) -> Level {
         | EventKind::Overloaded
         | EventKind::HistoryUnavailable
         | EventKind::LastingChange
+        | EventKind::ModeLost
+        | EventKind::ModePaired
         | EventKind::StateLost => Level::WARN,
     }
 }

@@ -155,10 +155,11 @@ pub enum Command {
                       spandrel convert modal-test.uff modal-test.csv --resample 200"
     )]
     Convert(ConvertArguments),
-    /// Identify natural frequencies, damping ratios and mode shapes of a recording.
+    /// Identify natural frequencies, damping ratios and mode shapes of a recording, or live.
     #[command(after_help = "Examples: spandrel modes bridge.mseed\n          \
                       spandrel modes tower.dat --rate 100 --epoch 164 --report modes\n          \
-                      spandrel modes week-12.csv --structure tower.toml --json")]
+                      spandrel modes week-12.csv tower.toml --json\n          \
+                      spandrel modes --live --config spandrel.toml")]
     Modes(ModesArguments),
     /// Run the published examples of the method and compare the results with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
@@ -214,6 +215,7 @@ impl Command {
             | Self::History(_)
             | Self::Notify(_)
             | Self::Dashboard(_) => Some(Scope::Peers),
+            Self::Modes(modes) if modes.live => Some(Scope::Peers),
             _ => None,
         }
     }
@@ -691,6 +693,11 @@ pub struct ReadingArguments {
 }
 
 impl ReadingArguments {
+    /// Returns `true` if an option is given.
+    pub fn is_some(&self) -> bool {
+        self.rate.is_some() || self.time_column.is_some() || self.time_unit.is_some()
+    }
+
     /// Returns the options for reading.
     pub fn options(&self) -> ReadOptions {
         ReadOptions {
@@ -754,10 +761,23 @@ pub struct ConvertArguments {
 
 #[derive(Debug, Args)]
 pub struct ModesArguments {
-    /// Recording: a file of any known format, or a zip archive or folder of such files.
-    pub record: PathBuf,
+    /// Recording, and optionally a structure file. With --live, structure files [default: structures
+    /// of the configuration].
+    ///
+    /// The recording is a file of any known format, or a zip archive or folder of such files.
+    #[arg(value_name = "FILE", required_unless_present = "live")]
+    pub files: Vec<PathBuf>,
+    /// Run the service that follows the natural frequencies of live samples.
+    #[arg(long, conflicts_with_all = [
+        "structure", "channels", "without", "references", "epoch", "band", "order", "report",
+        "json", "csv", "declare", "rate", "time_column", "time_unit",
+    ])]
+    pub live: bool,
     /// Structure file, for the columns, units and sampling rate of its channels [default: all
     /// channels of the recording].
+    ///
+    /// Its table [modal] applies, unless an option chooses channels, references, epoch, band or
+    /// order.
     #[arg(long, value_name = "STRUCTURE.toml", conflicts_with_all = ["rate", "time_column", "time_unit"])]
     pub structure: Option<PathBuf>,
     /// Channels to use, separated by commas [default: all].
@@ -789,8 +809,13 @@ pub struct ModesArguments {
     /// Output file for the modes of each epoch, one row per epoch and mode.
     #[arg(long, value_name = "MODES.csv")]
     pub csv: Option<PathBuf>,
+    /// Print the tables [modal] and [[modal.mode]] for a structure file.
+    #[arg(long, conflicts_with = "json")]
+    pub declare: bool,
     #[command(flatten)]
     pub reading: ReadingArguments,
+    #[command(flatten)]
+    pub bus: BusArguments,
 }
 
 /// A frequency band.

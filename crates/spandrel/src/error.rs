@@ -11,6 +11,7 @@ use spandrel_ingest::IngestError;
 use spandrel_judge::JudgeError;
 use spandrel_judging::JudgingError;
 use spandrel_modal::ModalError;
+use spandrel_modes::ModesError;
 use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
 use spandrel_sensor::SensorError;
@@ -194,6 +195,9 @@ pub enum AppError {
     /// The service that judges lasting changes failed.
     #[error(transparent)]
     Judging(#[from] JudgingError),
+    /// The service that follows natural frequencies failed.
+    #[error(transparent)]
+    Modes(#[from] ModesError),
     /// The dashboard failed.
     #[error(transparent)]
     Dashboard(#[from] DashboardError),
@@ -208,6 +212,20 @@ pub enum AppError {
     /// No structure has a table `[judge]`.
     #[error("no structure has a table [judge]; --series judges a file instead")]
     NothingToJudge,
+    /// No structure has a table `[modal]`.
+    #[error(
+        "no structure has a table [modal]; spandrel modes --declare prints one for a recording"
+    )]
+    NothingToFollow,
+    /// More files were given than a recording and a structure file.
+    #[error("{found} files are given, must be a recording and at most one structure file")]
+    FilesOfModes {
+        /// Number of files.
+        found: usize,
+    },
+    /// Options that describe a recording were given together with a structure file, which does so.
+    #[error("--rate, --time-column and --time-unit are for a recording without a structure file")]
+    ReadingOfStructure,
     /// Several structures were given for one series.
     #[error("{found} structure files are given with --series, must be 1")]
     SeriesOfStructures {
@@ -510,6 +528,9 @@ impl AppError {
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NothingToJudge
+            | Self::NothingToFollow
+            | Self::FilesOfModes { .. }
+            | Self::ReadingOfStructure
             | Self::SeriesOfStructures { .. }
             | Self::NoSeries
             | Self::NoPage
@@ -527,6 +548,7 @@ impl AppError {
             | Self::WrongRole { .. } => true,
             Self::Fuse(_)
             | Self::Judging(_)
+            | Self::Modes(_)
             | Self::FiguresMissed { .. }
             | Self::ChannelsMissing { .. }
             | Self::NothingMeasured

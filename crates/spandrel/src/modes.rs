@@ -2,10 +2,12 @@
 //!
 //! - [`frames`]: the channels of a recording as frames of equal times
 //! - [`analysis`]: chooses epochs and bands, and identifies the modes
+//! - [`declaration`]: the tables of a structure file that declare the modes
 //! - [`table`]: the results as text, JSON and CSV
 //! - [`diagrams`]: the stabilisation diagram and the singular-value spectrum as SVG
 
 pub mod analysis;
+pub mod declaration;
 pub mod diagrams;
 pub mod frames;
 pub mod table;

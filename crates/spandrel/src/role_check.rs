@@ -38,6 +38,8 @@ impl Need {
     pub const PUT_ALERTS: Self = Self::new("publish alerts", Right::Put, KeyFamily::Alert);
     pub const PUT_JUDGEMENTS: Self =
         Self::new("publish judgements", Right::Put, KeyFamily::Judgement);
+    pub const PUT_MODES: Self =
+        Self::new("publish natural frequencies", Right::Put, KeyFamily::Mode);
     pub const ANSWER_HISTORY: Self =
         Self::new("answer history queries", Right::Answer, KeyFamily::History);
     pub const NOTIFY: Self = Self::new(

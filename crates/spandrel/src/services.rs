@@ -15,6 +15,7 @@ use spandrel_identify::{
 };
 use spandrel_ingest::{IngestPlan, IngestService};
 use spandrel_judging::{JudgePlanned, JudgeService};
+use spandrel_modes::{ModesPlan, ModesService};
 use spandrel_notify::{NotifyPlan, NotifyService, NotifySettings};
 use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::{Reference, Structure};
@@ -191,12 +192,13 @@ impl Share<'_> {
 }
 
 /// The order in which services stop: that of the data flow. They start in the opposite order.
-const STOP_ORDER: [Service; 9] = [
+const STOP_ORDER: [Service; 10] = [
     Service::Feed,
     Service::Ingest,
     Service::Identify,
     Service::Fuse,
     Service::Alert,
+    Service::Modes,
     Service::Judge,
     Service::History,
     Service::Notify,
@@ -488,6 +490,26 @@ impl Running {
                 baseline,
             };
             self.start::<AlertService>(Service::Alert, &of, plan)
+                .await?;
+        }
+        Ok(())
+    }
+
+    /// Starts to follow the modes of each structure that has a table `[modal]`.
+    ///
+    /// # Errors
+    /// An instance cannot start.
+    pub async fn start_modes(&mut self) -> Result<(), AppError> {
+        for monitored in self.monitored.clone() {
+            if monitored.structure.modal().is_none() {
+                continue;
+            }
+            let of = monitored.structure.name().to_owned();
+            let plan = ModesPlan {
+                instance: self.instance(Service::Modes),
+                monitored,
+            };
+            self.start::<ModesService>(Service::Modes, &of, plan)
                 .await?;
         }
         Ok(())

@@ -22,6 +22,7 @@ mod draw;
 mod estimate_bar;
 mod judgements;
 mod lists;
+mod modes;
 mod nodes;
 mod plain;
 mod structure_panel;

@@ -15,6 +15,7 @@ mod fusion;
 mod judge;
 mod matrices;
 mod mesh;
+mod modal;
 mod model;
 mod node;
 mod outliers;
@@ -263,6 +264,7 @@ impl<'t> StructureFile<'t> {
         };
         let alert_rules = alert::read_alerts(&mut file, &context);
         let judge = judge::read_judge(file.table("judge"));
+        let modal = modal::read_modal(file.table("modal"), head.rate_hz, &nodes);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
         let levels = (!nodes.incomplete && declared_excitations == excitations.len())
@@ -303,6 +305,7 @@ impl<'t> StructureFile<'t> {
             ingest: ingest?,
             alert_rules,
             judge,
+            modal,
             record: record?,
             simulation,
             conditions,

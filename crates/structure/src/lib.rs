@@ -31,6 +31,7 @@
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
 //! - [`JudgedStructure`], [`JudgePlan`]: what is judged, also without a model
+//! - [`ModalPlan`]: how natural frequencies are followed, and which modes have a name
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
 //! - [`text_encoding`]: decodes the text of a file, and names an encoding other than UTF-8
 //!
@@ -55,6 +56,7 @@ mod fusion_plan;
 mod hysteresis;
 mod judge_plan;
 mod linear_system;
+mod modal_plan;
 mod node;
 mod noise_level;
 mod parameter;
@@ -110,6 +112,7 @@ pub use estimated_response::EstimatedResponse;
 pub use excitation::Excitation;
 pub use fusion_plan::{FusionPlan, PeriodNumbers, SentModes};
 pub use judge_plan::{JudgePlan, JudgedStructure};
+pub use modal_plan::{DeclaredMode, ModalPlan};
 pub use model::StructureModel;
 pub use node::{Channel, Node, Quantity};
 pub use noise_level::{NoiseLevel, NoiseSource};

@@ -13,6 +13,7 @@ use crate::fusion_plan::FusionPlan;
 use crate::judge_plan::JudgePlan;
 use crate::linear_form::LinearForm;
 use crate::linear_system::LinearSystem;
+use crate::modal_plan::ModalPlan;
 use crate::modes::Modes;
 use crate::node::{Channel, Node};
 use crate::noise_level::{NoiseLevel, NoiseSource};
@@ -62,6 +63,7 @@ pub struct Structure {
     pub(crate) ingest: IngestSettings,
     pub(crate) alert_rules: Vec<AlertRule>,
     pub(crate) judge: Option<JudgePlan>,
+    pub(crate) modal: Option<ModalPlan>,
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
     pub(crate) conditions: Vec<Condition>,
@@ -125,13 +127,13 @@ impl Structure {
 
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
-    /// It is the file without its comments, alert rules, conditions, simulation, record table,
-    /// description and place, followed by the matrices that it names.
+    /// It is the file without its comments, alert rules, conditions, followed modes, simulation,
+    /// record table, description and place, followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
         let mut table: toml::Table = self.text.parse().unwrap_or_default();
-        for of_others in ["alert", "condition", "simulation", "record"] {
+        for of_others in ["alert", "condition", "modal", "simulation", "record"] {
             table.remove(of_others);
         }
         if let Some(structure) = table
@@ -382,6 +384,12 @@ impl Structure {
     #[must_use]
     pub fn judge(&self) -> Option<&JudgePlan> {
         self.judge.as_ref()
+    }
+
+    /// Returns how natural frequencies are followed. `None` without a table `[modal]`.
+    #[must_use]
+    pub fn modal(&self) -> Option<&ModalPlan> {
+        self.modal.as_ref()
     }
 
     /// Returns the channel of each observation row.

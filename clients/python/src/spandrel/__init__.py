@@ -45,6 +45,8 @@ from .messages import (
     Loss,
     MaskedSpan,
     Message,
+    Mode,
+    ModeEstimate,
     ModelClass,
     Monitoring,
     Node,
@@ -54,6 +56,7 @@ from .messages import (
     Parameter,
     ParameterMonitoring,
     SensorHealth,
+    ShapeValue,
     Status,
 )
 from .sensor import SAMPLES_KEPT, Sensor
@@ -88,6 +91,8 @@ __all__ = [
     "Loss",
     "MaskedSpan",
     "Message",
+    "Mode",
+    "ModeEstimate",
     "ModelClass",
     "Monitoring",
     "NoReply",
@@ -102,6 +107,7 @@ __all__ = [
     "QueryRejected",
     "Sensor",
     "SensorHealth",
+    "ShapeValue",
     "SpandrelError",
     "Status",
     "Subscription",

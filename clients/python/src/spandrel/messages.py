@@ -255,6 +255,53 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class ShapeValue:
+    """A mode at one channel."""
+
+    channel: str
+    #: Real and imaginary part, relative to the channel with the largest amplitude.
+    value: List[float]
+    std: float
+
+
+@dataclass(frozen=True)
+class ModeEstimate:
+    """A mode as it was found in one epoch. Frequencies are in Hz."""
+
+    frequency_hz: float
+    frequency_std_hz: float
+    damping: float
+    damping_std: float
+    shape: List[ShapeValue]
+    #: Standard deviation of the channel with the largest amplitude, in the band of the mode.
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One declared mode after one epoch."""
+
+    TYPE: ClassVar[str] = "mode"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "mode/{mode}"
+
+    structure: str
+    mode: str
+    time_ns: int
+    epoch_s: float
+    epochs: int
+    #: `tracked`, `missing`, `lost` or `paired`.
+    state: str
+    partner: Optional[str]
+    #: `None` if the mode is missing or lost.
+    estimate: Optional[ModeEstimate]
+    presence: float
+    #: Whether a machine runs at this frequency.
+    machine: bool
+    declared_hz: float
+
+
+@dataclass(frozen=True)
 class ClassPlausibility:
     """Plausibility of one model class, named `class` in the message."""
 
@@ -473,6 +520,7 @@ Message = Union[
     SensorHealth,
     Condition,
     Judgement,
+    Mode,
     ModelClass,
     Fit,
     Monitoring,
@@ -491,6 +539,7 @@ MESSAGES: Tuple[Type[Any], ...] = (
     SensorHealth,
     Condition,
     Judgement,
+    Mode,
     ModelClass,
     Fit,
     Monitoring,

@@ -98,10 +98,10 @@ def history(
     root: str = DEFAULT_ROOT,
     timeout: float = 10.0,
 ) -> History:
-    """Returns the past values of a parameter, loss, noise level, channel, class, node or condition.
+    """Returns the past values of a parameter, loss, noise level, channel, class, node, condition or mode.
 
-    `kind` is `parameter`, `loss`, `noise`, `outlier`, `class`, `node` or `condition`. `points` is the maximum
-    number of points, 1 to 20,000. The history combines values if the period contains more.
+    `kind` is `parameter`, `loss`, `noise`, `outlier`, `class`, `node`, `condition` or `mode`. `points` is the
+    maximum number of points, 1 to 20,000. The history combines values if the period contains more.
 
     Raises `NoReply` if no history replies within `timeout` seconds. `spandrel run` and
     `spandrel history` keep a history, `spandrel demo` does not. Raises `QueryRejected` if the

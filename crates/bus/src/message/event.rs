@@ -62,6 +62,16 @@ pub enum EventKind {
     LastingChange,
     /// A person has annotated the structure.
     Annotation,
+    /// A mode persists that the structure file does not declare.
+    ModeProposed,
+    /// A declared mode is missing so often that nothing is stated about it.
+    ModeLost,
+    /// A declared mode was found, for the first time or again.
+    ModeFound,
+    /// Two declared modes can no longer be told apart.
+    ModePaired,
+    /// Two such modes can be told apart again.
+    ModeParted,
 }
 
 /// One event with its reason.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{alert, at, demo, hear, name};
+use crate::testing::{alert, at, demo, demo_with_air, hear, mode, name};
 
 #[test]
 fn names_missing_in_the_structure_file_are_ignored() {
@@ -52,6 +52,21 @@ fn client_receives_each_point_once_and_many_points_combined() {
     assert!(store.news(&mut read, 200).is_empty());
     hear(&mut store, "storey-1", 1_000, 1.0, 0.0);
     assert_eq!(store.news(&mut read, 200)[0].2.len(), 1);
+}
+
+/// The service repeats its last message every few seconds.
+#[test]
+fn a_repeated_mode_is_one_point() {
+    let mut store = demo_with_air();
+    for second in [600, 600, 1200, 1200, 1200] {
+        store.handle(Input::Mode(Box::new(mode("bending", second))));
+    }
+    store.handle(Input::Mode(Box::new(mode("torsion", 600))));
+    let points = store.news(&mut BTreeMap::new(), 200);
+    let names: Vec<String> = points.iter().map(|(name, ..)| name.to_string()).collect();
+    assert_eq!(names, ["mode/bending"]);
+    let times: Vec<i64> = points[0].2.times_ns().collect();
+    assert_eq!(times, [600_000_000_000, 1_200_000_000_000]);
 }
 
 #[test]

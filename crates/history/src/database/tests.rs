@@ -2,7 +2,7 @@ use super::*;
 use crate::batch::Collector;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, ConditionDisplay, CredibleInterval, Event,
-    EventKind, LossDisplay, Message as _, ParameterDisplay,
+    EventKind, LossDisplay, Message as _, ModeDisplay, ModeEstimate, ModeState, ParameterDisplay,
 };
 use spandrel_listener::Input;
 use spandrel_structure::Structure;
@@ -256,6 +256,65 @@ async fn a_condition_that_a_source_repeats_is_kept_once() {
     keeps_a_repeated_condition_once(&file(folder.path()).await).await;
 }
 
+/// Returns the frequency of the mode `bending` in an epoch.
+fn bending(minute: i64, frequency_hz: f64) -> ModeDisplay {
+    ModeDisplay {
+        structure: name("demo"),
+        mode: name("bending"),
+        time_ns: START_NS + minute * 60 * SECOND_NS,
+        epoch_s: 600.0,
+        epochs: 1,
+        state: ModeState::Tracked,
+        partner: None,
+        estimate: Some(ModeEstimate {
+            frequency_hz,
+            frequency_std_hz: 0.01,
+            damping: 0.02,
+            damping_std: 0.002,
+            shape: Vec::new(),
+            amplitude: 0.1,
+        }),
+        presence: 1.0,
+        machine: false,
+        declared_hz: 1.25,
+    }
+}
+
+/// The service repeats its last messages every few seconds, and after a restart.
+#[tokio::test]
+async fn a_frequency_that_is_repeated_is_kept_once_with_its_deviation() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let text = include_str!("../../../../docs/examples/demo.toml");
+    let text =
+        format!("{text}\n[modal]\n[[modal.mode]]\nname = \"bending\"\nfrequency-hz = 1.25\n");
+    let structure = Structure::parse(&text, Path::new("demo.toml")).unwrap();
+    for (life, minutes) in [("first", [0, 10, 10]), ("second", [10, 20, 30])] {
+        let mut collector = Collector::new(&structure, "spandrel");
+        for minute in minutes {
+            collector.handle(Input::Mode(Box::new(bending(minute, 1.25))));
+        }
+        let missing = ModeDisplay {
+            estimate: None,
+            ..bending(40, 1.0)
+        };
+        collector.handle(Input::Mode(Box::new(missing)));
+        let batch = Arc::new(collector.take(1).unwrap());
+        database.write(life, &[batch]).await.unwrap();
+    }
+    assert_eq!(database.repeated(), 1);
+    let series = Series {
+        kind: Kind::Mode,
+        name: "bending".to_owned(),
+    };
+    let demo = name("demo");
+    let span = database.span(STRUCTURE, &demo, &series, &SpanQuery::default());
+    let span = span.await.unwrap();
+    assert_eq!(span.kind, "mode");
+    assert_eq!(span.rows.mean, [1.25; 4]);
+    assert_eq!(span.rows.std, [0.01; 4]);
+}
+
 #[test]
 fn a_condition_that_contradicts_the_structure_file_is_rejected_and_counted() {
     let mut collector = collector_of_air();
@@ -287,7 +346,7 @@ fn a_condition_that_contradicts_the_structure_file_is_rejected_and_counted() {
     );
     assert_eq!(collector.unknown, 1);
     collector.handle(Input::Condition(air(0, 20.0)));
-    assert_eq!(collector.take(1).unwrap().conditions.len(), 1);
+    assert_eq!(collector.take(1).unwrap().repeatable.len(), 1);
 }
 
 fn alert(seconds: i64, state: AlertState) -> AlertMessage {
@@ -705,7 +764,7 @@ async fn month_of_fifty_parameters_needs_less_than_one_gigabyte() {
             structure: STRUCTURE.to_owned(),
             number: minute + 1,
             points: Vec::new(),
-            conditions: Vec::new(),
+            repeatable: Vec::new(),
             buckets: std::collections::BTreeMap::new(),
             happened: Vec::new(),
         };

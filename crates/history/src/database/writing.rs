@@ -91,7 +91,7 @@ pub(super) enum Care {
 #[derive(Debug, Default)]
 pub(super) struct SetAside {
     pub(super) rows: u64,
-    /// Number of values of conditions that were not newer than those in the database.
+    /// Number of values of conditions and modes that were not newer than those in the database.
     pub(super) repeated: u64,
     /// The reason for the last skipped row.
     pub(super) reason: Option<String>,
@@ -177,7 +177,7 @@ impl<'w> Writing<'w> {
                 .points
                 .iter()
                 .map(|(series, ..)| series)
-                .chain(batch.conditions.iter().map(|(series, ..)| series))
+                .chain(batch.repeatable.iter().map(|(series, ..)| series))
                 .chain(batch.buckets.keys().map(|(series, ..)| series));
             for series in series {
                 let key = (batch.structure.clone(), series.clone());
@@ -188,9 +188,8 @@ impl<'w> Writing<'w> {
             }
             self.write_values(batch, &batch.points, &batch.buckets)
                 .await?;
-            let conditions = self.new_conditions(batch).await?;
-            self.write_values(batch, &conditions, &buckets(&conditions))
-                .await?;
+            let new = self.new_values(batch).await?;
+            self.write_values(batch, &new, &buckets(&new)).await?;
             if !batch.happened.is_empty() {
                 self.write(batch, Rows::Happened(&batch.happened)).await?;
             }
@@ -221,17 +220,14 @@ impl<'w> Writing<'w> {
         Ok(())
     }
 
-    /// Returns the values of conditions that are newer than those in the database.
+    /// Returns the values of conditions and modes that are newer than those in the database.
     ///
     /// A source repeats values after a restart. Without this check, the sums of an hour would
     /// contain them twice.
-    async fn new_conditions(
-        &mut self,
-        batch: &Batch,
-    ) -> Result<Vec<(Series, i64, [f64; 3])>, Failed> {
+    async fn new_values(&mut self, batch: &Batch) -> Result<Vec<(Series, i64, [f64; 3])>, Failed> {
         let mut newest: BTreeMap<&Series, Option<i64>> = BTreeMap::new();
         let mut new = Vec::new();
-        for (series, time_ns, value) in &batch.conditions {
+        for (series, time_ns, values) in &batch.repeatable {
             let known_ns = match newest.get(series) {
                 Some(known_ns) => *known_ns,
                 None => {
@@ -245,7 +241,7 @@ impl<'w> Writing<'w> {
                 continue;
             }
             newest.insert(series, Some(*time_ns));
-            new.push((series.clone(), *time_ns, [*value, 0.0, 0.0]));
+            new.push((series.clone(), *time_ns, *values));
         }
         Ok(new)
     }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{EPOCH_S, S, deck, estimate, monitoring, name, sources};
+use crate::testing::{EPOCH_S, S, deck, estimate, frequency, monitoring, name, sources};
 use spandrel_bus::ParameterMonitoring;
 
 const EPOCH: i64 = EPOCH_S as i64;
@@ -184,4 +184,88 @@ fn conditions_without_estimates_take_no_memory() {
         );
     }
     assert!(epochs.conditions[0].by_epoch.len() <= CONDITIONS_KEPT);
+}
+
+/// Returns epochs of a declared mode, which know that the samples are measured and nothing else.
+fn of_mode() -> Epochs {
+    let mut sources = sources();
+    sources.quantities = vec![Some(QuantitySource::Mode(name("bending")))];
+    let mut epochs = Epochs::new(sources, None);
+    handle(&mut epochs, EpochInput::Measured(Some(true)));
+    epochs
+}
+
+fn take_mode(epochs: &mut Epochs, display: &ModeDisplay) -> Vec<ClosedEpoch> {
+    handle(epochs, EpochInput::Mode(Box::new(display.clone())))
+}
+
+#[test]
+fn a_repeated_frequency_counts_once_in_the_epoch_in_which_its_own_epoch_ends() {
+    let mut epochs = of_mode();
+    for display in [frequency(300, 2.0), frequency(EPOCH - 1, 8.0)] {
+        for _ in 0..5 {
+            assert_eq!(take_mode(&mut epochs, &display), []);
+        }
+    }
+    assert_eq!(take_mode(&mut epochs, &frequency(EPOCH, 3.0)), []);
+    let closed = take_mode(&mut epochs, &frequency(2 * EPOCH, 3.0)).remove(0);
+    assert_eq!(closed.middle_ns, EPOCH / 2 * S);
+    let value = closed.epoch.quantities[0].unwrap();
+    assert!((value - 4.0).abs() < 1e-14, "{value}"); // √(2 · 8)
+    // ln(value) is ± ln 2, and std / mean is 0.001 in both.
+    let expected = (2_f64.ln().powi(2) + 1e-6).sqrt();
+    let deviation = closed.deviations[0].unwrap();
+    assert!((deviation - expected).abs() < 1e-12, "{deviation}");
+    assert!(closed.is_measured);
+    assert_eq!(epochs.refused().len(), 0);
+    take_mode(&mut epochs, &frequency(EPOCH / 2, 3.0));
+    assert_eq!(refused(&epochs, "late-modes"), 1);
+}
+
+/// Blindness concerns the estimates of a model, on which a frequency does not depend.
+#[test]
+fn a_frequency_needs_no_monitoring_but_a_known_origin() {
+    let mut epochs = of_mode();
+    let blind = monitoring(MonitoringState::Blind, &["the filter restarts"]);
+    handle(&mut epochs, EpochInput::Monitoring(blind));
+    take_mode(&mut epochs, &frequency(10, 2.0));
+    handle(&mut epochs, EpochInput::Measured(None));
+    take_mode(&mut epochs, &frequency(20, 200.0));
+    let closed = take_mode(&mut epochs, &frequency(2 * EPOCH, 3.0)).remove(0);
+    assert_eq!(closed.epoch.quantities[0], Some(2.0));
+    assert_eq!(refused(&epochs, "modes-of-unknown-origin"), 2);
+}
+
+#[test]
+fn a_frequency_that_is_missing_paired_or_that_of_a_machine_does_not_count() {
+    let mut epochs = of_mode();
+    take_mode(&mut epochs, &frequency(10, 2.0));
+    let missing = ModeDisplay {
+        state: ModeState::Missing,
+        estimate: None,
+        ..frequency(20, 9.0)
+    };
+    let paired = ModeDisplay {
+        state: ModeState::Paired,
+        ..frequency(30, 9.0)
+    };
+    let machine = ModeDisplay {
+        machine: true,
+        ..frequency(40, 9.0)
+    };
+    let of_other = ModeDisplay {
+        mode: name("torsion"),
+        ..frequency(50, 9.0)
+    };
+    for display in [missing, paired, machine, of_other] {
+        take_mode(&mut epochs, &display);
+    }
+    handle(&mut epochs, EpochInput::Clock(100 * S));
+    take_mode(&mut epochs, &frequency(4 * EPOCH, 9.0));
+    assert_eq!(refused(&epochs, "ahead-of-clock-modes"), 1);
+    handle(&mut epochs, EpochInput::Clock(4 * EPOCH * S));
+    let closed = take_mode(&mut epochs, &frequency(2 * EPOCH, 3.0)).remove(0);
+    assert_eq!(closed.epoch.quantities[0], Some(2.0));
+    assert_eq!(refused(&epochs, "paired-modes"), 1);
+    assert_eq!(refused(&epochs, "machine-modes"), 1);
 }

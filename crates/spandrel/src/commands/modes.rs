@@ -1,11 +1,13 @@
-//! `spandrel modes`: identifies the natural frequencies of a recording.
+//! `spandrel modes`: identifies the natural frequencies of a recording, or follows them live.
 
+use super::run::{Services, one};
 use super::{print, refuse_overwriting};
-use crate::cli::ModesArguments;
+use crate::cli::{ModesArguments, ServiceArguments};
 use crate::error::AppError;
-use crate::modes::analysis::{Analysis, Choice, analyse};
+use crate::modes::analysis::{Analysis, Choice, analyse, follow};
 use crate::modes::frames::{Frames, Selection};
-use crate::modes::{diagrams, table};
+use crate::modes::{declaration, diagrams, table};
+use crate::services::Share;
 use spandrel_modal::{ModeSummary, Source};
 use spandrel_record::RecordError;
 use spandrel_structure::Structure;
@@ -17,13 +19,27 @@ const SINGULAR_VALUES: &str = "singular-values.svg";
 const MODES_JSON: &str = "modes.json";
 const MODES_CSV: &str = "modes.csv";
 
-/// Reads a recording, identifies its modes and prints them.
+/// Runs the service, or reads a recording, identifies its modes and prints them.
 ///
 /// # Errors
-/// The recording or an option is not valid, the recording is too short, it has no mode, or a file
-/// cannot be written.
+/// The recording or an option is not valid, the recording is too short, it has no mode, a file
+/// cannot be written, or the service fails.
 pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
-    let path = arguments.record.as_path();
+    if arguments.live {
+        let service = ServiceArguments {
+            structures: arguments.files.clone(),
+            bus: arguments.bus.clone(),
+        };
+        return one(&service, Services::MODES, Share::ALL);
+    }
+    let (path, structure) = match (arguments.files.as_slice(), &arguments.structure) {
+        ([record], structure) => (record.as_path(), structure.as_ref()),
+        ([record, structure], None) => (record.as_path(), Some(structure)),
+        (several, structure) => {
+            let found = several.len() + usize::from(structure.is_some());
+            return Err(AppError::FilesOfModes { found });
+        }
+    };
     if let Some(file) = &arguments.csv {
         refuse_overwriting(file, [path])?;
     }
@@ -36,17 +52,30 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
         only: &arguments.channels,
         without: &arguments.without,
     };
-    let frames = match &arguments.structure {
-        Some(file) => Frames::of_structure(path, &Structure::read(file)?, selection)?,
-        None => Frames::read(path, &arguments.reading.options(), selection)?,
-    };
     let choice = Choice {
         epoch_s: arguments.epoch,
         band_hz: arguments.band.map(|band| (band.lowest_hz, band.highest_hz)),
         highest_order: arguments.order,
         references: arguments.references.clone(),
     };
-    let analysis = analyse(&frames, &choice)?;
+    let is_own_choice = choice.is_some() || selection.is_some();
+    if structure.is_some() && arguments.reading.is_some() {
+        return Err(AppError::ReadingOfStructure);
+    }
+    let structure = structure.map(|file| Structure::read(file)).transpose()?;
+    let plan = structure
+        .as_ref()
+        .and_then(Structure::modal)
+        .filter(|_| !is_own_choice);
+    let frames = match (&structure, plan) {
+        (Some(structure), Some(plan)) => Frames::of_plan(path, structure, plan)?,
+        (Some(structure), None) => Frames::of_structure(path, structure, selection)?,
+        (None, _) => Frames::read(path, &arguments.reading.options(), selection)?,
+    };
+    let analysis = match (&structure, plan) {
+        (Some(structure), Some(plan)) => follow(&frames, structure, plan)?,
+        _ => analyse(&frames, &choice)?,
+    };
     if let Some(folder) = &arguments.report {
         report(folder, &frames, &analysis)?;
     }
@@ -55,6 +84,8 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
     }
     print(&if arguments.json {
         table::json(&frames, &analysis)
+    } else if arguments.declare {
+        declaration::tables(&choice, &arguments.without, plan, &analysis)
     } else {
         table::text(&frames, &analysis)
     })?;

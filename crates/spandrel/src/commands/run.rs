@@ -1,5 +1,5 @@
-//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `judge`, `history` and `notify`: run
-//! services until stopped.
+//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `modes`, `judge`, `history` and
+//! `notify`: run services until stopped.
 
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
@@ -37,6 +37,7 @@ impl Services {
         Service::Identify,
         Service::Fuse,
         Service::Alert,
+        Service::Modes,
         Service::Judge,
         Service::History,
         Service::Notify,
@@ -52,6 +53,8 @@ impl Services {
     pub const FUSE: Self = Self(&[Service::Fuse]);
     /// Only the alert service.
     pub const ALERT: Self = Self(&[Service::Alert]);
+    /// Only the natural frequencies.
+    pub const MODES: Self = Self(&[Service::Modes]);
     /// Only the judgement of lasting changes.
     pub const JUDGE: Self = Self(&[Service::Judge]);
     /// Only the history.
@@ -125,6 +128,10 @@ impl Plan {
         if services == Services::JUDGE && !watched.iter().any(is_judged) {
             return Err(AppError::NothingToJudge);
         }
+        let has_modal = |watched: &Watched| watched.structure.modal().is_some();
+        if services == Services::MODES && !watched.iter().any(has_modal) {
+            return Err(AppError::NothingToFollow);
+        }
         let database = if services.has(Service::History) {
             settings.history.address()?
         } else {
@@ -151,6 +158,7 @@ impl Plan {
             || services.has(Service::Identify)
             || services.has(Service::Fuse)
             || services.has(Service::Alert)
+            || services.has(Service::Modes)
             || services.has(Service::Judge)
             || services.has(Service::Notify);
         let state = if remembers {
@@ -186,6 +194,10 @@ impl Plan {
             .watched
             .iter()
             .any(|watched| watched.structure.judge().is_some());
+        let any_modal = self
+            .watched
+            .iter()
+            .any(|watched| watched.structure.modal().is_some());
         let (any_fused, any_whole) = (
             self.watched.iter().any(is_fused),
             self.watched.iter().any(|watched| !is_fused(watched)),
@@ -204,6 +216,7 @@ impl Plan {
                 services.has(Service::Judge) && any_judged,
                 Need::PUT_JUDGEMENTS,
             ),
+            (services.has(Service::Modes) && any_modal, Need::PUT_MODES),
             (self.database.is_some(), Need::ANSWER_HISTORY),
             (
                 services.has(Service::Notify) && !self.settings.notify.is_empty(),
@@ -273,6 +286,9 @@ impl Plan {
         }
         if services.has(Service::Judge) {
             running.start_judge().await?;
+        }
+        if services.has(Service::Modes) {
+            running.start_modes().await?;
         }
         if services.has(Service::Alert) {
             running.start_alert().await?;

@@ -3,14 +3,14 @@
 use super::frames::Frames;
 use crate::error::AppError;
 use serde::Serialize;
+use spandrel_bus::{Name, TimeGrid};
 use spandrel_modal::{
-    BandLadder, ChannelUse, LadderEpoch, ModalError, ModalSettings, ModeSummary, RecordModes,
-    Source,
+    BandLadder, ChannelUse, EpochStream, LadderEpoch, ModalError, ModalSettings, ModeSummary,
+    RecordModes, Source,
 };
+use spandrel_modes::{DeclaredModes, EpochOver, ModesOutput};
+use spandrel_structure::{ModalPlan, Structure};
 
-/// Duration without any sample after which a new epoch starts (s). Shorter gaps repeat the last
-/// values.
-const LONGEST_GAP_S: f64 = 1.0;
 /// Least ratio of the damping ratio of a listed mode to its standard deviation. In simulations, the
 /// modes below it were mostly false.
 const CERTAIN: f64 = 2.0;
@@ -28,6 +28,16 @@ pub struct Choice {
     pub references: Vec<String>,
 }
 
+impl Choice {
+    /// Returns `true` if the user has chosen something.
+    pub fn is_some(&self) -> bool {
+        self.epoch_s.is_some()
+            || self.band_hz.is_some()
+            || self.highest_order.is_some()
+            || !self.references.is_empty()
+    }
+}
+
 /// The modes of a recording.
 #[derive(Debug)]
 pub struct Analysis {
@@ -42,6 +52,8 @@ pub struct Analysis {
     /// Number of modes that are not among `modes`, because their damping ratio is smaller than its
     /// standard deviation. Most of these do not exist.
     pub uncertain: usize,
+    /// What the service `modes` would publish: the declared modes after each epoch, and events.
+    pub declared: Vec<ModesOutput>,
 }
 
 /// A channel that took no part in some epochs.
@@ -65,31 +77,70 @@ pub fn analyse(frames: &Frames, choice: &Choice) -> Result<Analysis, AppError> {
         source,
     };
     let settings = settings(frames, choice)?;
-    let mut ladder = ladder(&settings, choice).map_err(failed)?;
+    let ladder = ladder(&settings, choice).map_err(failed)?;
+    let stream = EpochStream::new(ladder, frames.rate_hz);
+    let epoch_s = settings.epoch_s;
+    identify(frames, stream, epoch_s, |_| {})
+}
+
+/// Identifies the modes of a recording as the service `modes` does for live frames.
+///
+/// # Errors
+/// The recording is too short, or has no usable epoch.
+pub fn follow(
+    frames: &Frames,
+    structure: &Structure,
+    plan: &ModalPlan,
+) -> Result<Analysis, AppError> {
+    let failed = |source: ModalError| AppError::Modal {
+        path: frames.path.clone(),
+        source,
+    };
+    let stream = plan.stream().map_err(failed)?;
+    let mut declared = DeclaredModes::new(&Name::new(structure.name())?, plan)?;
+    let mut outputs = Vec::new();
+    let mut analysis = identify(frames, stream, plan.settings.epoch_s, |over| {
+        declared.handle(over, &mut outputs);
+    })?;
+    analysis.declared = outputs;
+    Ok(analysis)
+}
+
+/// Identifies the modes of each epoch, and passes them to `handle`.
+fn identify(
+    frames: &Frames,
+    mut stream: EpochStream,
+    epoch_s: f64,
+    mut handle: impl FnMut(EpochOver<'_>),
+) -> Result<Analysis, AppError> {
+    let failed = |source: ModalError| AppError::Modal {
+        path: frames.path.clone(),
+        source,
+    };
+    let grid = TimeGrid::new(frames.start_ns, frames.rate_hz);
     let mut record = RecordModes::default();
     let mut epochs = Vec::new();
-    let longest_gap = ((LONGEST_GAP_S * frames.rate_hz).round() as usize).max(1);
-    let mut missing = 0;
     // An epoch with too few complete channels does not make the others useless.
     let mut skipped = None;
-    for frame in frames.iter() {
-        let is_missing = frame.iter().all(|value| value.is_nan());
-        missing = if is_missing { missing + 1 } else { 0 };
-        if missing > longest_gap {
-            continue;
-        }
-        if missing == longest_gap {
-            ladder.gap();
-            continue;
-        }
-        let Some(epoch) = ladder.push(frame).map_err(failed)? else {
+    for (number, frame) in (0..).zip(frames.iter()) {
+        let Some(epoch) = stream.push(frame).map_err(failed)? else {
             continue;
         };
-        match record.push(&epoch) {
-            Ok(()) => epochs.push(epoch),
-            Err(error @ ModalError::Channels { .. }) => skipped = Some(error),
+        let found = match epoch.identify() {
+            Ok(found) => found,
+            Err(error @ ModalError::Channels { .. }) => {
+                skipped = Some(error);
+                continue;
+            }
             Err(error) => return Err(failed(error)),
-        }
+        };
+        handle(EpochOver {
+            time_ns: grid.map_or(frames.start_ns, |grid| grid.time_ns(number)),
+            epoch: &epoch,
+            found: &found,
+        });
+        record.take(&epoch, found);
+        epochs.push(epoch);
     }
     if let (Some(error), true) = (skipped, epochs.is_empty()) {
         return Err(failed(error));
@@ -98,7 +149,7 @@ pub fn analyse(frames: &Frames, choice: &Choice) -> Result<Analysis, AppError> {
         return Err(AppError::NoEpoch {
             path: frames.path.clone(),
             found_s: frames.length_s(),
-            epoch_s: settings.epoch_s,
+            epoch_s,
         });
     }
     let is_certain = |mode: &ModeSummary| {
@@ -106,11 +157,12 @@ pub fn analyse(frames: &Frames, choice: &Choice) -> Result<Analysis, AppError> {
     };
     let (modes, uncertain): (Vec<_>, Vec<_>) = record.summary().into_iter().partition(is_certain);
     Ok(Analysis {
-        bands: ladder.settings().cloned().collect(),
+        bands: stream.settings().cloned().collect(),
         modes,
         uncertain: uncertain.len(),
         epochs,
         record,
+        declared: Vec::new(),
     })
 }
 

@@ -3,7 +3,7 @@
 use crate::error::AppError;
 use spandrel_record::{ReadOptions, RecordError, RecordedChannel, RecordedFile};
 use spandrel_sensor::{open_record, recorded_rows};
-use spandrel_structure::Structure;
+use spandrel_structure::{ModalPlan, Structure};
 use std::path::{Path, PathBuf};
 
 /// Relative tolerance within which two sampling rates are equal.
@@ -23,6 +23,8 @@ pub struct Frames {
     pub names: Vec<String>,
     /// Sampling rate (Hz).
     pub rate_hz: f64,
+    /// Time of the first frame, ns since the Unix epoch, UTC.
+    pub start_ns: i64,
     /// Channels without use, each with the reason.
     pub left_out: Vec<(String, &'static str)>,
     /// Values, frame by frame.
@@ -35,6 +37,14 @@ struct Column {
     values: Vec<(usize, f64)>,
 }
 
+/// The times of the frames.
+#[derive(Clone, Copy)]
+struct Grid<'p> {
+    path: &'p Path,
+    rate_hz: f64,
+    start_ns: i64,
+}
+
 /// Which channels are used.
 #[derive(Debug, Clone, Copy)]
 pub struct Selection<'a> {
@@ -45,6 +55,11 @@ pub struct Selection<'a> {
 }
 
 impl Selection<'_> {
+    /// Returns `true` if the user has selected channels.
+    pub fn is_some(&self) -> bool {
+        !(self.only.is_empty() && self.without.is_empty())
+    }
+
     fn takes(&self, name: &str) -> bool {
         (self.only.is_empty() || self.only.iter().any(|only| only == name))
             && !self.without.iter().any(|without| without == name)
@@ -105,7 +120,16 @@ impl Frames {
                     .collect(),
             })
             .collect();
-        Self::of(path, rate_hz, columns)
+        let (used, left_out) = useful(columns);
+        Self::of(
+            Grid {
+                path,
+                rate_hz,
+                start_ns,
+            },
+            used,
+            left_out,
+        )
     }
 
     /// Reads the channels of a structure, with the columns, units and rate of its structure file.
@@ -119,36 +143,48 @@ impl Frames {
     ) -> Result<Self, AppError> {
         let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
         selection.check(path, names.iter().copied())?;
-        let rate_hz = structure.sampling_rate_hz();
-        let mut columns: Vec<Column> = names
-            .iter()
-            .map(|name| Column {
-                name: (*name).to_owned(),
-                values: Vec::new(),
-            })
-            .collect();
-        let mut start_ns = None;
-        for row in recorded_rows(open_record(structure, path)?, 0) {
-            let row = row?;
-            let start_ns = *start_ns.get_or_insert(row.time_ns);
-            let frame = frame_of(row.time_ns, start_ns, rate_hz);
-            for (column, value) in columns.iter_mut().zip(&row.values) {
-                column.values.push((frame, *value));
-            }
-        }
+        let (start_ns, mut columns) = columns(path, structure)?;
         columns.retain(|column| selection.takes(&column.name));
-        Self::of(path, rate_hz, columns)
+        let (used, left_out) = useful(columns);
+        let rate_hz = structure.sampling_rate_hz();
+        Self::of(
+            Grid {
+                path,
+                rate_hz,
+                start_ns,
+            },
+            used,
+            left_out,
+        )
     }
 
-    fn of(path: &Path, rate_hz: f64, columns: Vec<Column>) -> Result<Self, AppError> {
-        let mut left_out = Vec::new();
-        let mut used = Vec::new();
-        for column in columns {
-            match uselessness(&column) {
-                Some(reason) => left_out.push((column.name, reason)),
-                None => used.push(column),
-            }
-        }
+    /// Reads the channels of a table `[modal]`. All of them are kept, as in live frames.
+    ///
+    /// # Errors
+    /// As for [`Self::of_structure()`].
+    pub fn of_plan(path: &Path, structure: &Structure, plan: &ModalPlan) -> Result<Self, AppError> {
+        let (start_ns, columns) = columns(path, structure)?;
+        let numbered = columns.into_iter().enumerate();
+        let used = numbered.filter(|(position, _)| plan.channels.contains(position));
+        let rate_hz = structure.sampling_rate_hz();
+        let grid = Grid {
+            path,
+            rate_hz,
+            start_ns,
+        };
+        Self::of(grid, used.map(|(_, column)| column).collect(), Vec::new())
+    }
+
+    fn of(
+        grid: Grid<'_>,
+        used: Vec<Column>,
+        left_out: Vec<(String, &'static str)>,
+    ) -> Result<Self, AppError> {
+        let Grid {
+            path,
+            rate_hz,
+            start_ns,
+        } = grid;
         if used.len() < LEAST_CHANNELS {
             return Err(AppError::TooFewChannels {
                 path: path.to_owned(),
@@ -178,6 +214,7 @@ impl Frames {
             path: path.to_owned(),
             names: used.into_iter().map(|column| column.name).collect(),
             rate_hz,
+            start_ns,
             left_out,
             values,
         })
@@ -211,6 +248,41 @@ pub fn listed(left_out: &[(String, &'static str)]) -> String {
         .iter()
         .map(|(name, reason)| format!("{name} ({reason})"));
     each.collect::<Vec<_>>().join(", ")
+}
+
+/// Reads the channels of a structure, with the time of the first frame (ns).
+fn columns(path: &Path, structure: &Structure) -> Result<(i64, Vec<Column>), AppError> {
+    let rate_hz = structure.sampling_rate_hz();
+    let mut columns: Vec<Column> = structure
+        .channels()
+        .map(|channel| Column {
+            name: channel.name().to_owned(),
+            values: Vec::new(),
+        })
+        .collect();
+    let mut start_ns = None;
+    for row in recorded_rows(open_record(structure, path)?, 0) {
+        let row = row?;
+        let start_ns = *start_ns.get_or_insert(row.time_ns);
+        let frame = frame_of(row.time_ns, start_ns, rate_hz);
+        for (column, value) in columns.iter_mut().zip(&row.values) {
+            column.values.push((frame, *value));
+        }
+    }
+    Ok((start_ns.unwrap_or(0), columns))
+}
+
+/// Divides columns into used ones, and those without use with the reason.
+fn useful(columns: Vec<Column>) -> (Vec<Column>, Vec<(String, &'static str)>) {
+    let mut left_out = Vec::new();
+    let mut used = Vec::new();
+    for column in columns {
+        match uselessness(&column) {
+            Some(reason) => left_out.push((column.name, reason)),
+            None => used.push(column),
+        }
+    }
+    (used, left_out)
 }
 
 fn frame_of(time_ns: i64, start_ns: i64, rate_hz: f64) -> usize {

@@ -4,7 +4,9 @@ use super::analysis::{Absence, Analysis, absent};
 use super::frames::{Frames, listed};
 use crate::commands::counted;
 use serde_json::{Value, json};
+use spandrel_bus::{Event, ModeDisplay};
 use spandrel_modal::{ChannelUse, ModeSummary, Source};
+use spandrel_modes::ModesOutput;
 use std::fmt::Write as _;
 
 /// Returns the table for people.
@@ -78,6 +80,60 @@ pub fn text(frames: &Frames, analysis: &Analysis) -> String {
             "not listed: {modes} whose damping ratio is less than twice its standard deviation"
         );
     }
+    text + &declared_text(analysis)
+}
+
+fn displays(analysis: &Analysis) -> impl Iterator<Item = &ModeDisplay> {
+    analysis.declared.iter().filter_map(|output| match output {
+        ModesOutput::Mode(display) => Some(display.as_ref()),
+        ModesOutput::Event(_) => None,
+    })
+}
+
+fn events(analysis: &Analysis) -> impl Iterator<Item = &Event> {
+    analysis.declared.iter().filter_map(|output| match output {
+        ModesOutput::Mode(_) => None,
+        ModesOutput::Event(event) => Some(event),
+    })
+}
+
+/// Returns the declared modes after the last epoch, as the service `modes` would publish them.
+fn declared_text(analysis: &Analysis) -> String {
+    let last = displays(analysis).map(|display| display.epochs).max();
+    let Some(last) = last else {
+        return String::new();
+    };
+    let of_last: Vec<&ModeDisplay> = displays(analysis)
+        .filter(|display| display.epochs == last)
+        .collect();
+    let names = of_last.iter().map(|display| display.mode.as_str().len());
+    let width = names.max().unwrap_or(0).max("declared mode".len());
+    let mut text = format!(
+        "\n{:width$}  frequency Hz       ±  damping %      ±  present  state after epoch {last}\n",
+        "declared mode"
+    );
+    for display in of_last {
+        let numbers = match &display.estimate {
+            Some(estimate) => format!(
+                "{:>12.4}  {:>6.4}  {:>9.2}  {:>5.2}",
+                estimate.frequency_hz,
+                estimate.frequency_std_hz,
+                100.0 * estimate.damping,
+                100.0 * estimate.damping_std,
+            ),
+            None => format!("{:>12}  {:>6}  {:>9}  {:>5}", "–", "–", "–", "–"),
+        };
+        let partner = display.partner.iter().map(|name| format!(" with {name}"));
+        let machine = display.machine.then(|| ", a machine runs here".to_owned());
+        let _ = writeln!(
+            text,
+            "{:width$}  {numbers}  {:>5.0} %  {}{}",
+            display.mode.as_str(),
+            100.0 * display.presence,
+            display.state.as_str(),
+            partner.chain(machine).collect::<String>(),
+        );
+    }
     text
 }
 
@@ -128,6 +184,8 @@ pub fn json(frames: &Frames, analysis: &Analysis) -> String {
         "modes": modes,
         "uncertain_modes": analysis.uncertain,
         "epochs": epochs,
+        "declared_modes": displays(analysis).collect::<Vec<_>>(),
+        "events": events(analysis).collect::<Vec<_>>(),
     });
     format!("{all:#}\n")
 }

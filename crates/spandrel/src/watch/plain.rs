@@ -6,6 +6,7 @@
 use super::conditions::condition_texts;
 use super::heard::Origin;
 use super::judgements::judgement_texts;
+use super::modes::mode_texts;
 use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
 use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
@@ -35,6 +36,7 @@ pub fn alert_line(alert: &AlertMessage) -> String {
 /// …`.
 pub fn structure_line(name: &Name, structure: &StructureState) -> String {
     let conditions: Vec<String> = condition_texts(structure)
+        .chain(mode_texts(structure))
         .chain(judgement_texts(structure))
         .collect();
     let conditions = match conditions.is_empty() {

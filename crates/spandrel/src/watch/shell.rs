@@ -24,6 +24,7 @@ const NEEDS: Needs = Needs {
         T::Noise,
         T::Conditions,
         T::Judgements,
+        T::Modes,
         T::Classes,
         T::Fit,
         T::Monitoring,

@@ -4,6 +4,7 @@ use super::conditions::condition_spans;
 use super::estimate_bar::{Axis, Marks};
 use super::heard::{Heard, Origin, ParameterHeard};
 use super::judgements::judgement_spans;
+use super::modes::mode_spans;
 use super::natural_name::in_order;
 use super::nodes::panel_lines;
 use super::trail::Trail;
@@ -342,6 +343,9 @@ fn footer(
     }
     if !structure.conditions.is_empty() {
         lines.extend(flow("conditions   ", condition_spans(structure), width));
+    }
+    if !structure.modes.is_empty() {
+        lines.extend(flow("modes        ", mode_spans(structure), width));
     }
     for judgement in judgement_spans(structure) {
         lines.extend(flow("lasting      ", vec![judgement], width));

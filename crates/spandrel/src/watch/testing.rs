@@ -4,8 +4,8 @@ use super::heard::Heard;
 use spandrel_bus::{
     AlertMessage, AlertState, ChangeKind, ClassPlausibility, ConditionDisplay, CredibleInterval,
     Event, EventKind, Header, JudgementDisplay, JudgementState, LastingChange, LossDisplay,
-    ModelClassDisplay, Name, NodeDisplay, NodeHealth, NoiseDisplay, Pace, ParameterDisplay,
-    Progress, Service, Status,
+    ModeDisplay, ModeEstimate, ModeState, ModelClassDisplay, Name, NodeDisplay, NodeHealth,
+    NoiseDisplay, Pace, ParameterDisplay, Progress, Service, Status,
 };
 use spandrel_listener::{Input, Instance};
 use std::collections::{BTreeMap, BTreeSet};
@@ -305,4 +305,28 @@ pub fn damaged_tower() -> Heard {
         "its liveliness token is gone",
     )));
     heard(inputs)
+}
+
+/// Returns a tracked mode of `tower`.
+pub fn mode(mode: &str, frequency_hz: f64) -> ModeDisplay {
+    ModeDisplay {
+        structure: name("tower"),
+        mode: name(mode),
+        time_ns: 600_000_000_000,
+        epoch_s: 600.0,
+        epochs: 1,
+        state: ModeState::Tracked,
+        partner: None,
+        estimate: Some(ModeEstimate {
+            frequency_hz,
+            frequency_std_hz: 0.0084,
+            damping: 0.0207,
+            damping_std: 0.0031,
+            shape: Vec::new(),
+            amplitude: 0.02,
+        }),
+        presence: 1.0,
+        machine: false,
+        declared_hz: 2.92,
+    }
 }

@@ -46,6 +46,7 @@ fn every_example_is_read() {
     for name in [
         "demo",
         "output-only",
+        "ambient",
         "matrices",
         "noisy",
         "three-pier-bridge",

@@ -1,0 +1,162 @@
+use crate::{DeclaredMode, Structure, StructureError};
+use std::path::Path;
+
+const DEMO: &str = include_str!("../../../../../docs/examples/demo.toml");
+const MODAL: &str = r#"
+[modal]
+epoch-s = 300
+band-hz = [0.5, 12]
+without = ["floor-2"]
+
+[[modal.mode]]
+name = "bending-1"
+frequency-hz = 1.0
+
+[[modal.mode]]
+name = "bending-2"
+frequency-hz = 2.92
+within = 0.03
+"#;
+
+fn parse(modal: &str) -> Result<Structure, StructureError> {
+    Structure::parse(&format!("{DEMO}{modal}"), Path::new("demo.toml"))
+}
+
+/// Returns the mistakes after a change, without the path and the number of lines of the demo.
+fn mistakes(from: &str, to: &str) -> String {
+    assert!(MODAL.contains(from), "{from}");
+    let error = parse(&MODAL.replacen(from, to, 1)).unwrap_err();
+    let StructureError::Invalid { diagnostics } = error else {
+        panic!("{error}");
+    };
+    let before = DEMO.lines().count();
+    let lines = diagnostics.iter().map(|diagnostic| {
+        let text = diagnostic.to_string();
+        let (line, rest) = text
+            .strip_prefix("demo.toml:")
+            .unwrap()
+            .split_once(':')
+            .unwrap();
+        format!("{}:{rest}", line.parse::<usize>().unwrap() - before)
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn responses_without_those_left_out_are_followed() {
+    let structure = parse(MODAL).unwrap();
+    let plan = structure.modal().unwrap();
+    assert_eq!(plan.names, ["floor-1", "floor-3", "floor-4", "floor-5"]);
+    let all: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    let named: Vec<&str> = plan
+        .channels
+        .iter()
+        .map(|position| all[*position])
+        .collect();
+    assert_eq!(named, plan.names, "the ground is an excitation");
+    let settings = &plan.settings;
+    assert_eq!((settings.lowest_hz, settings.highest_hz), (0.5, 12.0));
+    assert_eq!((settings.epoch_s, settings.overlap), (300.0, 0.0));
+    assert_eq!(settings.references.len(), 4);
+    assert_eq!(plan.stream().unwrap().settings().count(), 1);
+    let expected = [("bending-1", 1.0, 0.05), ("bending-2", 2.92, 0.03)];
+    let expected = expected.map(|(name, frequency_hz, within)| DeclaredMode {
+        name: name.to_owned(),
+        frequency_hz,
+        within,
+    });
+    assert_eq!(plan.modes, expected);
+}
+
+#[test]
+fn an_empty_table_uses_all_responses_and_several_bands() {
+    let structure = parse("\n[modal]\n").unwrap();
+    let plan = structure.modal().unwrap();
+    assert_eq!(plan.names.len(), 5);
+    assert_eq!(plan.settings.epoch_s, 600.0);
+    assert!(plan.stream().unwrap().settings().count() > 1);
+    assert!(plan.modes.is_empty());
+    assert!(parse("").unwrap().modal().is_none());
+}
+
+/// Declaring a mode must not restart the identification.
+#[test]
+fn the_basis_of_the_identification_does_not_contain_the_table() {
+    let basis = |modal| parse(modal).unwrap().identification_basis();
+    assert_eq!(basis(MODAL), basis(""));
+}
+
+#[test]
+fn every_mistake_names_line_key_and_allowed_values() {
+    for (from, to, said) in [
+        (
+            "epoch-s = 300",
+            "epoch-s = 5",
+            "3: modal.epoch-s: is 5, must be a whole number from 10 to 86400",
+        ),
+        (
+            "epoch-s = 300",
+            "epoch-s = 30",
+            "3: modal.epoch-s: is 30, must be at least 72 with these channels, band and sampling rate",
+        ),
+        (
+            "epoch-s = 300",
+            "epochs = 300",
+            "3: modal.epochs: is not a known key, did you mean \"epoch-s\"?",
+        ),
+        (
+            "epoch-s = 300",
+            "overlap = 1",
+            "3: modal.overlap: is 1, must be a finite number from 0 and below 1",
+        ),
+        (
+            "epoch-s = 300",
+            "highest-order = 1",
+            "3: modal.highest-order: is 1, must be a whole number from 2 to 200",
+        ),
+        (
+            "epoch-s = 300",
+            "references = [\"floor-2\"]",
+            "3: modal.references: is \"floor-2\", ",
+        ),
+        (
+            "[0.5, 12]",
+            "[12, 0.5]",
+            "4: modal.band-hz: is [12.0, 0.5], must be two increasing frequencies, such as [0.5, 12]",
+        ),
+        (
+            "[0.5, 12]",
+            "[0.5, 45]",
+            "4: modal.band-hz: is too wide, must end at most at 40 Hz, 0.4 of the sampling rate",
+        ),
+        (
+            "[\"floor-2\"]",
+            "[\"floor-7\"]",
+            "5: modal.without: is \"floor-7\", ",
+        ),
+        (
+            "[\"floor-2\"]",
+            "[\"floor-1\", \"floor-2\", \"floor-3\", \"floor-4\"]",
+            "5: modal.without: leaves 1 channel that measure responses at the sampling rate of the \
+             structure, must leave 2 to 128",
+        ),
+        (
+            "name = \"bending-2\"",
+            "name = \"bending-1\"",
+            "12: modal.mode.name: repeats \"bending-1\", must be unique",
+        ),
+        (
+            "frequency-hz = 2.92",
+            "frequency-hz = 29.2",
+            "13: modal.mode.frequency-hz: is 29.2, must be within the band, 0.5 to 12 Hz",
+        ),
+        (
+            "within = 0.03",
+            "within = 3",
+            "14: modal.mode.within: is 3, must be a finite number above 0 and below 1",
+        ),
+    ] {
+        let found = mistakes(from, to);
+        assert!(found.contains(said), "{to}: {found}");
+    }
+}

@@ -1,0 +1,50 @@
+//! What `[modal]` states: channels, epochs, band, and the declared modes.
+
+use spandrel_modal::{BandLadder, EpochStream, ModalError, ModalSettings};
+
+/// The `[modal]` table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModalPlan {
+    /// Settings of the identification. They pass their own check.
+    pub settings: ModalSettings,
+    /// Whether the file gives a band. Without one, several bands are used.
+    pub has_band: bool,
+    /// Position of each channel in a frame of the structure.
+    pub channels: Vec<usize>,
+    /// Name of each channel.
+    pub names: Vec<String>,
+    /// The declared modes, in the order of the file.
+    pub modes: Vec<DeclaredMode>,
+}
+
+/// A mode that is followed under a name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeclaredMode {
+    /// Name of the mode.
+    pub name: String,
+    /// Natural frequency at which the mode is first looked for (Hz).
+    pub frequency_hz: f64,
+    /// Relative distance from this frequency within which it is first looked for.
+    pub within: f64,
+}
+
+impl ModalPlan {
+    /// Default of `modal.mode.within`.
+    pub const WITHIN: f64 = 0.05;
+    /// Largest number of channels.
+    pub const MOST_CHANNELS: usize = 128;
+    /// Largest number of declared modes.
+    pub const MOST_MODES: usize = 64;
+
+    /// Returns a stream without frames.
+    ///
+    /// # Errors
+    /// The settings are not valid, which reading the file has excluded.
+    pub fn stream(&self) -> Result<EpochStream, ModalError> {
+        let ladder = match self.has_band {
+            true => BandLadder::single(&self.settings)?,
+            false => BandLadder::new(&self.settings)?,
+        };
+        Ok(EpochStream::new(ladder, self.settings.rate_hz))
+    }
+}

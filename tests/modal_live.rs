@@ -1,0 +1,227 @@
+//! The service `modes`: the natural frequencies of live frames are those of the recording, bit for
+//! bit, also after a crash.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod support;
+
+use serde_json::Value;
+use spandrel_bus::{Event, EventKind, ModeDisplay, ModeState, Subscription};
+use std::collections::BTreeMap;
+use std::process::Command;
+use std::time::Duration;
+use support::{Process, Record, Site, spandrel, within};
+
+/// Length of the epochs (s).
+const EPOCH_S: u32 = 100;
+/// Number of epochs in the record.
+const EPOCHS: u64 = 4;
+/// Length of the record (s). The last epoch ends shortly before.
+const RECORD_S: f64 = 410.0;
+
+/// Returns the site of the example, with short epochs. The mode `far` does not exist.
+fn ambient() -> Site {
+    let text = include_str!("../docs/examples/ambient.toml");
+    let short = text.replace("epoch-s = 300", &format!("epoch-s = {EPOCH_S}"));
+    assert_ne!(text, short);
+    let mode = "\n[[modal.mode]]\nname = \"far\"\nfrequency-hz = 8.5\n";
+    Site::with(&format!("{short}{mode}"))
+}
+
+/// Returns the messages that the offline command gives for a record, and its events.
+fn offline(site: &Site, record: &Record) -> (Messages, Vec<Event>) {
+    let mut command = spandrel("modes");
+    command.arg(record.path()).arg(site.structure_file());
+    let said = Process::start(command.arg("--json")).wait().expect_code(0);
+    let json: Value = serde_json::from_str(&said.stdout).unwrap();
+    let displays: Vec<ModeDisplay> =
+        serde_json::from_value(json["declared_modes"].clone()).unwrap();
+    let events = serde_json::from_value(json["events"].clone()).unwrap();
+    (by_epoch(displays), events)
+}
+
+/// Messages by epoch and mode.
+type Messages = BTreeMap<(u64, String), ModeDisplay>;
+
+fn by_epoch(displays: Vec<ModeDisplay>) -> Messages {
+    let keyed = displays
+        .into_iter()
+        .map(|display| ((display.epochs, display.mode.to_string()), display));
+    keyed.collect()
+}
+
+/// Collects messages until those of the last epoch have arrived. A repetition must be equal.
+async fn collect(modes: &Subscription<ModeDisplay>, found: &mut Messages, last: u64, count: usize) {
+    let is_complete =
+        |found: &Messages| found.keys().filter(|(epoch, _)| *epoch == last).count() == count;
+    within(&format!("the modes of epoch {last}"), async {
+        while !is_complete(found) {
+            let (_, display) = modes.messages().recv_async().await.unwrap();
+            let key = (display.epochs, display.mode.to_string());
+            let earlier = found.insert(key, display.clone());
+            assert!(earlier.is_none_or(|earlier| earlier == display));
+        }
+    })
+    .await;
+}
+
+/// Compares messages with the time of the replay. The recording has other times, by a constant.
+fn assert_equal(live: &Messages, recorded: &Messages) {
+    assert_eq!(live.len(), recorded.len());
+    let mut shifts_ns: Vec<i64> = Vec::new();
+    for (key, display) in live {
+        let expected = &recorded[key];
+        shifts_ns.push(display.time_ns - expected.time_ns);
+        let shifted = ModeDisplay {
+            time_ns: display.time_ns,
+            ..expected.clone()
+        };
+        assert_eq!(*display, shifted);
+    }
+    shifts_ns.dedup();
+    assert_eq!(shifts_ns.len(), 1, "{shifts_ns:?}");
+}
+
+fn with_state<'c>(command: &'c mut Command, site: &Site) -> &'c mut Command {
+    command.env("XDG_STATE_HOME", site.folder().join("state"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn live_modes_are_those_of_the_recording_and_survive_a_crash() {
+    let site = ambient();
+    let record = site.simulate(RECORD_S);
+    let (recorded, told) = offline(&site, &record);
+    let count = site.structure().modal().unwrap().modes.len();
+    assert_eq!(recorded.len(), count * EPOCHS as usize);
+    let sway: Vec<&ModeDisplay> = recorded
+        .values()
+        .filter(|display| display.mode.as_str() == "sway-2")
+        .collect();
+    for display in sway {
+        let estimate = display.estimate.as_ref().unwrap();
+        assert_eq!(display.state, ModeState::Tracked);
+        assert!((estimate.frequency_hz - 2.92).abs() < 0.05, "{display:?}");
+        assert_eq!(estimate.shape.len(), 5);
+    }
+    let far = &recorded[&(EPOCHS, "far".to_owned())];
+    assert_eq!((far.state, far.presence), (ModeState::Missing, 0.0));
+
+    let start = || {
+        let process = Process::start(with_state(&mut site.listening("run"), &site));
+        process.wait_for_log("ready structures=1");
+        process
+    };
+    let run = start();
+    let bus = site.join().await;
+    let modes = bus.subscribe(site.keys().all_modes(), 4096).await.unwrap();
+    let events: Subscription<Event> = bus.subscribe(site.keys().event(), 1024).await.unwrap();
+    site.replay(&record, "max").wait().expect_code(0);
+    let mut live = Messages::new();
+    collect(&modes, &mut live, EPOCHS, count).await;
+    assert_equal(&live, &recorded);
+    let of_modes = |event: &Event| {
+        let kinds = [
+            EventKind::ModeProposed,
+            EventKind::ModeFound,
+            EventKind::ModeLost,
+            EventKind::ModePaired,
+            EventKind::ModeParted,
+        ];
+        kinds.contains(&event.kind)
+    };
+    let expected: Vec<(EventKind, String)> = told
+        .iter()
+        .map(|event| (event.kind, event.subject.clone()))
+        .collect();
+    assert!(!expected.is_empty());
+    let mut heard = Vec::new();
+    within("the events of the modes", async {
+        while heard.len() < expected.len() {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            if of_modes(&event) {
+                heard.push((event.kind, event.subject));
+            }
+        }
+    })
+    .await;
+    assert_eq!(heard, expected);
+
+    run.kill();
+    while modes.messages().try_recv().is_ok() {}
+    let _run = start();
+    let mut again = Messages::new();
+    collect(&modes, &mut again, EPOCHS, count).await;
+    let last = live.into_iter().filter(|((epoch, _), _)| *epoch == EPOCHS);
+    assert_eq!(again, last.collect::<Messages>(), "from the checkpoint");
+}
+
+/// Kills only this service in the middle of an epoch, while frames arrive.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_is_killed_in_an_epoch_gives_the_same_modes() {
+    let site = ambient();
+    let record = site.simulate(RECORD_S);
+    let (recorded, _) = offline(&site, &record);
+    let count = site.structure().modal().unwrap().modes.len();
+    let ingest = Process::start(with_state(&mut site.listening("ingest"), &site));
+    ingest.wait_for_log("ready structures=1");
+    let start = |subcommand: &str, more: &[&str]| {
+        let mut command = site.connecting(subcommand);
+        let process = Process::start(with_state(command.args(more), &site));
+        process.wait_for_log("ready structures=1");
+        process
+    };
+    let _others = [start("identify", &[]), start("alert", &[])];
+    let modes = start("modes", &["--live"]);
+    let bus = site.join().await;
+    let heard = bus.subscribe(site.keys().all_modes(), 4096).await.unwrap();
+    let replay = site.replay(&record, "40");
+    let mut live = Messages::new();
+    collect(&heard, &mut live, 1, count).await;
+    // About 40 s of the second epoch.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    modes.kill();
+    let _modes = start("modes", &["--live"]);
+    collect(&heard, &mut live, EPOCHS, count).await;
+    replay.wait().expect_code(0);
+    assert_equal(&live, &recorded);
+}
+
+#[test]
+fn the_declared_tables_follow_the_same_modes() {
+    let site = ambient();
+    let record = site.simulate(RECORD_S);
+    let declare = |more: &[&str]| {
+        let mut command = spandrel("modes");
+        command.arg(record.path()).args(more).arg("--declare");
+        Process::start(&mut command).wait().expect_code(0).stdout
+    };
+    let epoch = EPOCH_S.to_string();
+    let tables = declare(&["--epoch", &epoch, "--band", "0.3..10"]);
+    assert!(
+        tables.starts_with("[modal]\nepoch-s = 100\nband-hz = [0.3, 10]\n"),
+        "{tables}"
+    );
+    let text = include_str!("../docs/examples/ambient.toml");
+    let (before, rest) = text.split_once("[modal]").unwrap();
+    let (_, after) = rest.split_once("[simulation]").unwrap();
+    let declared = Site::with(&format!("{before}{tables}\n[simulation]{after}"));
+    let plan = declared.structure().modal().unwrap();
+    assert!(plan.modes.len() >= 4, "{tables}");
+    let (recorded, _) = offline(&declared, &record);
+    for mode in &plan.modes {
+        let states = (1..=EPOCHS).map(|epoch| recorded[&(epoch, mode.name.clone())].state);
+        let tracked = states.filter(|state| *state == ModeState::Tracked).count();
+        assert!(tracked >= 2, "{}: {tracked} epochs", mode.name);
+    }
+    // With a table that declares a mode, only the others are printed.
+    let more = declare(&[&site.structure_file().to_string_lossy()]);
+    assert!(
+        !more.contains("[modal]\n") && more.contains("name = \"mode-1\""),
+        "{more}"
+    );
+    assert!(!more.contains("frequency-hz = 2.9"), "{more}");
+}
