@@ -4,9 +4,10 @@
 //!
 //! - h = max(a − a₀, 0): decades of amplitude above the limit a₀ of weak motion
 //! - d: softest y of the shaking minus y of the weak motion; v its variance
+//! - c: scatter of the softening between motions of the same amplitude, which is assumed
 //! - b: softening per decade, d = −b h, with the prior b ~ N(0, σ²)
 //!
-//! The posterior of b is normal with the variance 1/(1/σ² + Σ h²/v) and the mean −Σ h d/v times this
+//! The posterior of b is normal with the variance 1/(1/σ² + Σ h²/(v + c²)) and the mean −Σ h d/(v + c²) times this
 //! variance.
 
 use serde::Serialize;
@@ -14,6 +15,9 @@ use serde::Serialize;
 /// σ: standard deviation of the softening per decade (Δ ln k). Half a decade of ln f, as stiffness is
 /// the square of frequency.
 const PRIOR_STD: f64 = 1.0;
+
+/// c: motions of the same amplitude differ in duration and frequency (Δ ln k).
+const SCATTER: f64 = 0.25;
 
 /// One earlier event with shaking.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,18 +51,19 @@ pub(crate) fn compare(earlier: &[Softened], now: &Softened) -> Option<Expected> 
     if earlier.is_empty() {
         return None;
     }
+    let variance = |event: &Softened| event.variance + SCATTER * SCATTER;
     let information = PRIOR_STD.powi(-2)
         + earlier
             .iter()
-            .map(|event| event.decades.powi(2) / event.variance)
+            .map(|event| event.decades.powi(2) / variance(event))
             .sum::<f64>();
     let score: f64 = earlier
         .iter()
-        .map(|event| event.decades * event.change / event.variance)
+        .map(|event| event.decades * event.change / variance(event))
         .sum();
     let per_decade = score / information; // −b
     let expected = per_decade * now.decades;
-    let std = (now.decades.powi(2) / information + now.variance).sqrt();
+    let std = (now.decades.powi(2) / information + variance(now)).sqrt();
     let deviations = (now.change - expected) / std;
     Some(Expected {
         change: expected.exp_m1(),
@@ -85,14 +90,16 @@ mod tests {
         let earlier = [softened(0.5, -0.4), softened(1.0, -0.8)];
         let now = compare(&earlier, &softened(0.8, -0.64)).unwrap();
         assert!(now.is_as_expected, "{now:?}");
-        // The prior shrinks the slope of 0.8 by 1/(1 + 125).
-        assert!((now.change - (-0.64_f64 * 125.0 / 126.0).exp_m1()).abs() < 1e-9);
+        // Σh²/v = 1.25/0.0725, and the prior shrinks the slope of 0.8 accordingly.
+        let information = 1.25 / 0.0725;
+        let expected = -0.64 * information / (1.0 + information);
+        assert!((now.change - expected.exp_m1()).abs() < 1e-9);
     }
 
     #[test]
     fn softening_far_below_the_line_is_not_as_expected() {
         let earlier = [softened(0.5, -0.2), softened(1.0, -0.4)];
-        let now = compare(&earlier, &softened(0.5, -0.8)).unwrap();
+        let now = compare(&earlier, &softened(0.5, -1.4)).unwrap();
         assert!(!now.is_as_expected && now.deviations < -2.0, "{now:?}");
         assert_eq!(compare(&[], &softened(0.5, -0.8)), None);
     }

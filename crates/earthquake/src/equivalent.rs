@@ -38,8 +38,8 @@ const LARGEST_DAMPING: f64 = 0.6;
 const MOST_MODES: usize = 12;
 /// Independent samples per fundamental period.
 const SAMPLES_PER_PERIOD: f64 = 2.0;
-/// Share of the motion that the model must explain.
-const LEAST_EXPLAINED: f64 = 0.5;
+/// Share of the motion that the model must explain. A smaller share also widens the posterior.
+const LEAST_EXPLAINED: f64 = 0.3;
 /// Largest standard deviation of ln c that still says something.
 const LARGEST_STD: f64 = 0.35;
 /// Largest posterior probability of both ends of the grid together.

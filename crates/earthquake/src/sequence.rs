@@ -16,17 +16,20 @@
 
 use crate::amplitude::{Expected, Softened, compare};
 use crate::between::{
-    Coverage, EventValue, FEWEST_EVENTS, Interval, Pooled, leave_one_out, student_cdf,
-    student_quantile,
+    Coverage, EventValue, Interval, Pooled, leave_one_out, student_cdf, student_quantile,
 };
 use crate::course::{EventCourse, WeakMotion};
 use crate::error::{EarthquakeError, require};
 use serde::Serialize;
 
-/// Scatter τ between events that is assumed while fewer than three events show their own (Δ ln k).
+/// Scatter τ between events that is assumed while fewer than four events show their own (Δ ln k).
 ///
 /// The weak motion of a highway bridge scatters by 10 % of stiffness between events.
 const ASSUMED_SCATTER: f64 = 0.1;
+
+/// Minimum number of earlier events whose own scatter decides. With one degree of freedom, Student's t
+/// has so long tails that it says nothing.
+const FEWEST_EARLIER: usize = 4;
 
 /// Degrees of freedom of a normal distribution.
 const NORMAL: f64 = 1e6;
@@ -70,9 +73,9 @@ impl JudgeSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReferenceKind {
-    /// At least three earlier events, with their scatter.
+    /// At least four earlier events, with their scatter.
     Events,
-    /// One or two earlier events, with an assumed scatter.
+    /// One to three earlier events, with an assumed scatter.
     FewEvents,
     /// The weak motion of the same record, with an assumed scatter.
     OwnWeakMotion,
@@ -197,7 +200,8 @@ pub struct EventJudgement {
     pub softening: Option<Softening>,
     /// Weak motion after the shaking. `None` if there was none.
     pub weak: Option<WeakState>,
-    /// Lasting loss since each event that shook, this one included, in the order of time.
+    /// Lasting loss since each event that shook or whose weak motion was softer than predicted, this
+    /// one included, in the order of time.
     pub lasting: Vec<Candidate>,
 }
 
@@ -236,6 +240,8 @@ pub struct Sequence {
     settings: JudgeSettings,
     events: Vec<EventCourse>,
     softened: Vec<Option<Softened>>,
+    /// Whether the weak motion of each event was softer than the earlier events predicted.
+    is_softer: Vec<bool>,
     /// First event of the present reference: the latest with a raised lasting loss.
     reference_from: usize,
 }
@@ -251,6 +257,7 @@ impl Sequence {
             settings,
             events: Vec::new(),
             softened: Vec::new(),
+            is_softer: Vec::new(),
             reference_from: 0,
         })
     }
@@ -264,6 +271,9 @@ impl Sequence {
             .zip(softened)
             .and_then(|(reference, softened)| self.softening(&event, &reference, &softened));
         let weak = event.after.map(|motion| self.weak_state(motion));
+        let predicted = weak.and_then(|weak| Some((weak.motion.y.exp(), weak.predicted?)));
+        self.is_softer
+            .push(predicted.is_some_and(|(k, interval)| k < interval.low));
         self.events.push(event);
         self.softened.push(softened);
         let lasting = self.lasting();
@@ -310,7 +320,7 @@ impl Sequence {
 
     fn reference(&self, event: &EventCourse) -> Option<Reference> {
         let earlier = self.values(self.reference_from, self.events.len());
-        let (kind, pooled) = if earlier.len() >= FEWEST_EVENTS {
+        let (kind, pooled) = if earlier.len() >= FEWEST_EARLIER {
             (ReferenceKind::Events, Pooled::new(&earlier)?)
         } else if earlier.is_empty() {
             let weak = event.before.or(event.after);
@@ -330,7 +340,12 @@ impl Sequence {
             y: pooled.mean,
             std: pooled.further_std(0.0),
             between_std: pooled.between_std,
-            degrees_of_freedom: pooled.degrees_of_freedom(),
+            degrees_of_freedom: match kind {
+                ReferenceKind::Events => pooled.degrees_of_freedom(),
+                ReferenceKind::FewEvents
+                | ReferenceKind::OwnWeakMotion
+                | ReferenceKind::OwnRecovery => None,
+            },
         })
     }
 
@@ -391,12 +406,14 @@ impl Sequence {
         }
     }
 
-    /// Judges a lasting loss since each event that shook. A raised loss starts a new reference.
+    /// Judges a lasting loss since each event that shook, or whose weak motion was softer than
+    /// predicted: what happened before it may not have been recorded. A raised loss starts a new
+    /// reference.
     fn lasting(&mut self) -> Vec<Candidate> {
         let mut from = 0;
         let mut candidates = Vec::new();
         for since in 0..self.events.len() {
-            if !self.events[since].has_shaking {
+            if !self.events[since].has_shaking && !self.is_softer[since] {
                 continue;
             }
             let candidate = self.candidate(from, since);
@@ -416,10 +433,10 @@ impl Sequence {
             waiting: Some(waiting),
         };
         let before = self.values(from, since);
-        if before.len() < FEWEST_EVENTS {
+        if before.len() < FEWEST_EARLIER {
             return waits(Waiting::EarlierEvents {
                 found: before.len(),
-                required: FEWEST_EVENTS,
+                required: FEWEST_EARLIER,
             });
         }
         let own = self.events[since].after;

@@ -113,7 +113,7 @@ fn lasting_loss_names_what_it_waits_for() {
         few[2].own().unwrap().waiting,
         Some(Waiting::EarlierEvents {
             found: 2,
-            required: 3
+            required: 4
         })
     );
     let sound = [0.0, 0.02, -0.02, 0.01];
@@ -145,6 +145,15 @@ fn first_event_is_compared_with_its_own_recovery() {
     assert_eq!(reference.kind, ReferenceKind::OwnRecovery);
     assert!((reference.y + 0.1).abs() < 1e-12, "{reference:?}");
     assert!(judgement.softening.unwrap().is_raised);
+}
+
+#[test]
+fn loss_without_recorded_shaking_is_found() {
+    let sound = [0.0, 0.02, -0.02, 0.01, 0.03, -0.01].map(weak);
+    let judgements = judged(sound.into_iter().chain([-0.7, -0.72].map(weak)));
+    assert!(judgements[5].lasting.is_empty());
+    let (since, loss) = judgements[7].raised().unwrap();
+    assert!(since == 6 && (loss.loss - 0.5).abs() < 0.05, "{loss:?}");
 }
 
 #[test]

@@ -107,6 +107,8 @@ struct Course<'s> {
     with: &'s WithDisplacements,
     settings: ReportSettings,
     settling_s: f64,
+    /// Number of events so far.
+    number: usize,
     /// Time at which the last shaking has settled (ns since 1970-01-01 UTC).
     settled_ns: Option<i64>,
     judged: Vec<Judged>,
@@ -147,12 +149,14 @@ impl<'s> Course<'s> {
             with,
             settings,
             settling_s: memory_s.clamp(SETTLING_S, LONGEST_MEMORY_S),
+            number: 0,
             settled_ns: None,
             judged,
         })
     }
 
     fn report(&mut self, record: &EventRecord, name: EventName) -> Result<EventReport, AppError> {
+        self.number += 1;
         let structure = &self.with.structure;
         let dated = self.settled_ns.filter(|_| record.is_dated());
         let unsettled_s =
@@ -179,6 +183,7 @@ impl<'s> Course<'s> {
             structure,
             record,
             name,
+            number: self.number,
             settings: self.settings,
             windows,
             identified,

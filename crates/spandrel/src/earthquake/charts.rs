@@ -241,7 +241,7 @@ pub fn accelerations(report: &EventReport, channels: &[Vec<f64>]) -> String {
             from: top + STRIP,
             to: top,
         };
-        svg.vertical(&axis, 3.0);
+        svg.vertical(&axis, 4.0);
         let mean = spandrel_earthquake::motion::mean(samples).unwrap_or(0.0);
         let curve = envelope(samples, mean);
         let points: Vec<[f64; 2]> = curve
@@ -363,7 +363,7 @@ pub fn events(report: &EventReport, parameter: &ParameterReport) -> String {
     const TOP: f64 = 14.0;
     const BOTTOM: f64 = 190.0;
     /// Distance of an event from the ends.
-    const ROOM: f64 = 18.0;
+    const ROOM: f64 = 34.0;
     let events = &parameter.events;
     let values = events.iter().flat_map(|event| {
         let interval = event.within.into_iter().flat_map(|one| [one.low, one.high]);
@@ -380,7 +380,7 @@ pub fn events(report: &EventReport, parameter: &ParameterReport) -> String {
         from: LEFT + ROOM,
         to: RIGHT - ROOM,
     };
-    let mut svg = Svg::new(BOTTOM + 62.0, "stiffness of all events so far");
+    let mut svg = Svg::new(BOTTOM + 74.0, "stiffness of all events so far");
     svg.vertical(&axis, 5.0);
     if let Some(band) = parameter.expected {
         svg.area(

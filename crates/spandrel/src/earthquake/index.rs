@@ -15,6 +15,7 @@ pub struct Entry {
     event: String,
     record: String,
     start: Option<String>,
+    number: usize,
     rank: u8,
     urgency: String,
     headline: String,
@@ -67,8 +68,13 @@ pub fn ranked(entries: &[Entry]) -> Vec<&Entry> {
     latest
 }
 
+/// Returns `true` if one report is later than another: by the dates if both recordings have one,
+/// otherwise by the order of the command.
 fn is_later(a: &Entry, b: &Entry) -> bool {
-    (&a.start, &a.event) > (&b.start, &b.event)
+    match (&a.start, &b.start) {
+        (Some(a), Some(b)) if a != b => a > b,
+        (Some(_) | None, Some(_) | None) => a.number > b.number,
+    }
 }
 
 /// Returns the page of the list.
@@ -89,7 +95,10 @@ pub fn html(entries: &[Entry]) -> String {
              <th scope=\"col\">result at that time</th>\
              <th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n<tbody>\n";
     let mut all: Vec<&Entry> = entries.iter().collect();
-    all.sort_by(|a, b| (&b.start, &b.event).cmp(&(&a.start, &a.event)));
+    all.sort_by(|a, b| {
+        let by_structure = a.structure.cmp(&b.structure);
+        by_structure.then(b.number.cmp(&a.number))
+    });
     for entry in all {
         page += &row(entry, false);
     }
@@ -132,6 +141,7 @@ mod tests {
             event: format!("{structure}_{start}"),
             record: "record.csv".to_owned(),
             start: Some(start.to_owned()),
+            number: 1,
             rank,
             urgency: "watch".to_owned(),
             headline: "<b>".to_owned(),

@@ -85,7 +85,7 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>]) -> String {
         );
         if parameter.events.len() > 1 {
             page += &figure(
-                &format!("{} in all events so far", parameter.name),
+                &format!("Stiffness of {} in all events so far", parameter.name),
                 "Points: weak motion, with the 95 % interval within the record. Triangles: softest \
                  window of the shaking. Band: what the events before this one predict.",
                 &charts::events(report, parameter),

@@ -241,6 +241,8 @@ pub struct EventReport {
     /// The event.
     #[serde(flatten)]
     pub name: EventName,
+    /// Number of the event in the order of the command, from 1.
+    pub number: usize,
     /// Sampling rate (Hz).
     pub sampling_rate_hz: f64,
     /// Length of the record (s).
@@ -295,6 +297,7 @@ pub struct Parts<'p> {
     pub structure: &'p Structure,
     pub record: &'p EventRecord,
     pub name: EventName,
+    pub number: usize,
     pub settings: ReportSettings,
     pub windows: Vec<Window>,
     pub identified: Identified,
@@ -312,6 +315,7 @@ impl EventReport {
             structure,
             record,
             name,
+            number,
             settings,
             windows,
             identified,
@@ -334,6 +338,7 @@ impl EventReport {
             structure: structure.name().to_owned(),
             description: structure.description().to_owned(),
             name,
+            number,
             sampling_rate_hz: structure.sampling_rate_hz(),
             length_s: record.length_s(structure.sampling_rate_hz()),
             fundamental_hz: fundamental_hz(structure),
@@ -368,42 +373,43 @@ impl EventReport {
         self.peak_m_per_s2 > self.settings.strong_above_m_per_s2
     }
 
-    /// Returns the raised or most probable lasting loss of any parameter, with the parameter and the
-    /// event since which it lasts.
+    /// Returns the judged lasting loss that most probably exceeds the loss that matters, with the
+    /// parameter and the event since which it lasts. A raised one goes first.
     pub fn worst_loss(&self) -> Option<(&ParameterReport, &EventName, LastingLoss)> {
         let each = self.parameters.iter().filter_map(|parameter| {
             let judgement = &parameter.judgement;
             let (since, loss) = judgement.raised().or_else(|| judgement.most_probable())?;
             Some((parameter, &parameter.events.get(since)?.name, loss))
         });
-        each.max_by(|a, b| a.2.probability.total_cmp(&b.2.probability))
+        each.max_by(|a, b| {
+            let by_raised = a.2.is_raised.cmp(&b.2.is_raised);
+            by_raised.then(a.2.probability.total_cmp(&b.2.probability))
+        })
     }
 
-    /// Returns `true` if a lasting loss since this event is judged: for the whole structure if it can
-    /// be fitted, otherwise for every parameter.
+    /// Returns the stiffnesses that decide: that of the whole structure if it can be fitted, otherwise
+    /// those of all parameters.
+    pub fn decisive(&self) -> impl Iterator<Item = &ParameterReport> {
+        let is_whole = |parameter: &ParameterReport| parameter.source == Source::WholeStructure;
+        let has_whole = self.parameters.iter().any(is_whole);
+        let all = self.parameters.iter();
+        all.filter(move |parameter| !has_whole || is_whole(parameter))
+    }
+
+    /// Returns `true` if a lasting loss since this event is judged.
     pub fn own_is_judged(&self) -> bool {
-        let is_whole = |parameter: &&ParameterReport| parameter.source == Source::WholeStructure;
-        let has_whole = self.parameters.iter().any(|parameter| is_whole(&parameter));
-        let mut decisive = self
-            .parameters
-            .iter()
-            .filter(|parameter| !has_whole || is_whole(parameter));
-        !self.parameters.is_empty()
-            && decisive.all(|parameter| {
-                let own = parameter.judgement.own();
-                own.is_some_and(|own| own.loss.is_some())
-            })
+        let is_judged = |parameter: &ParameterReport| {
+            let own = parameter.judgement.own();
+            own.is_some_and(|own| own.loss.is_some())
+        };
+        !self.parameters.is_empty() && self.decisive().all(is_judged)
     }
 
     fn judged_urgency(&self) -> Urgency {
-        let is_beyond = self.parameters.iter().any(|parameter| {
-            let softening = parameter.judgement.softening;
-            softening.is_some_and(|softening| {
-                softening.is_raised
-                    && softening.expected.is_some_and(|expected| {
-                        !expected.is_as_expected && expected.deviations < 0.0
-                    })
-            })
+        let is_beyond = self.decisive().any(|parameter| {
+            let raised = parameter.judgement.softening.filter(|one| one.is_raised);
+            let expected = raised.and_then(|softening| softening.expected);
+            expected.is_some_and(|one| !one.is_as_expected && one.deviations < 0.0)
         });
         let worst = self.worst_loss().map(|(_, _, loss)| loss);
         if is_beyond || worst.is_some_and(|loss| loss.is_raised) {

@@ -119,6 +119,11 @@ pub fn judged(report: &EventReport) -> Vec<String> {
 
 /// What is not judged, and why.
 pub fn not_judged(report: &EventReport) -> Vec<String> {
+    let sentences = unjudged(report);
+    sentences.iter().map(|text| capitalised(text)).collect()
+}
+
+fn unjudged(report: &EventReport) -> Vec<String> {
     let mut sentences = Vec::new();
     if report.parameters.is_empty() {
         sentences.push(
@@ -241,35 +246,45 @@ fn softening_headline(report: &EventReport) -> Option<String> {
 }
 
 fn lasting_headline(report: &EventReport) -> Option<String> {
+    let waits = (report.shook() && !report.own_is_judged())
+        .then(|| "Whether a loss remains cannot be judged yet.".to_owned());
     let Some((parameter, since, loss)) = report.worst_loss() else {
-        return report
-            .shook()
-            .then(|| "Whether a loss remains cannot be judged yet.".to_owned());
+        return waits;
     };
     let (name, since) = (&parameter.name, since.title());
     let range = percent_range(loss.interval.low, loss.interval.high);
-    if loss.is_raised {
-        return Some(format!(
-            "{name} has lost {} of its stiffness for good since {since} ({range}).",
+    let found = match loss {
+        loss if loss.is_raised => format!(
+            "{} has lost {} of its stiffness for good since {since} ({range}).",
+            capitalised(name),
             percent(loss.loss)
-        ));
-    }
-    if loss.probability >= 0.5 {
-        return Some(format!(
+        ),
+        loss if loss.probability >= 0.5 => format!(
             "A lasting loss of {} of {name} since {since} ({range}) is probable, but not certain \
              (P = {}).",
             percent(loss.loss),
             probability(loss.probability)
-        ));
-    }
-    Some(match !report.shook() || report.own_is_judged() {
-        true => format!(
-            "Weak motion shows no lasting loss of more than {} (P = {}).",
-            percent(report.settings.loss),
-            probability(loss.probability)
         ),
-        false => "Whether a loss remains cannot be judged yet.".to_owned(),
+        loss => match waits {
+            Some(waits) => return Some(waits),
+            None => format!(
+                "Weak motion shows no lasting loss of more than {} (P = {}).",
+                percent(report.settings.loss),
+                probability(loss.probability)
+            ),
+        },
+    };
+    Some(match waits {
+        Some(waits) => format!("{waits} {found}"),
+        None => found,
     })
+}
+
+/// Returns a text that begins with a capital letter.
+fn capitalised(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters.next().map(char::to_uppercase);
+    first.into_iter().flatten().chain(letters).collect()
 }
 
 fn softened(name: &str, softening: &Softening, report: &EventReport) -> String {
@@ -280,6 +295,10 @@ fn softened(name: &str, softening: &Softening, report: &EventReport) -> String {
         softening.at_s
     );
     let mut text = match softening.is_raised {
+        _ if softening.change >= 0.0 => format!(
+            "While it shook, {name} did not soften: its softest window was stiffer by {}",
+            percent(softening.change)
+        ),
         true => format!("While it shook, {name} was softer by {size}"),
         false => format!(
             "While it shook, {name} was softer by {size}: more than {} with probability {} only",
@@ -385,6 +404,9 @@ pub fn waits(waiting: Waiting) -> String {
 pub fn line(report: &EventReport) -> String {
     let softening = report.parameters.iter().filter_map(|parameter| {
         let softening = parameter.judgement.softening?;
+        if softening.change >= 0.0 {
+            return None;
+        }
         let word = if softening.is_raised { "" } else { "perhaps " };
         Some(format!(
             "{word}{} −{}",
@@ -393,25 +415,38 @@ pub fn line(report: &EventReport) -> String {
         ))
     });
     let softening: Vec<String> = softening.collect();
-    let lasting = match report.worst_loss() {
-        Some((parameter, since, loss)) => format!(
+    let waits = report.shook() && !report.own_is_judged();
+    let told = report
+        .worst_loss()
+        .filter(|(_, _, loss)| !waits || loss.is_raised || loss.probability >= 0.5);
+    let mut lasting = Vec::new();
+    if waits {
+        lasting.push("lasting loss: not judged yet".to_owned());
+    }
+    if let Some((_, _, loss)) = told.filter(|(_, _, loss)| loss.probability < 0.5) {
+        lasting.push(format!(
+            "no lasting loss shown, P(>{}) {}",
+            percent(report.settings.loss),
+            probability(loss.probability)
+        ));
+    } else if let Some((parameter, since, loss)) = told {
+        let date = since.start.as_deref().and_then(|start| start.get(..10));
+        lasting.push(format!(
             "lasting loss of {} since {}: {} ({}), P(>0) {}, P(>{}) {}{}",
             parameter.name,
-            since
-                .start
-                .as_deref()
-                .and_then(|start| start.get(..10))
-                .unwrap_or(&since.record),
+            date.unwrap_or(&since.record),
             percent(loss.loss),
             percent_range(loss.interval.low, loss.interval.high),
             probability(loss.probability_of_any),
             percent(report.settings.loss),
             probability(loss.probability),
             if loss.is_raised { ", raised" } else { "" }
-        ),
-        None if report.shook() => "lasting loss: not judged yet".to_owned(),
-        None => "lasting loss: nothing to judge".to_owned(),
-    };
+        ));
+    }
+    if lasting.is_empty() {
+        lasting.push("lasting loss: nothing to judge".to_owned());
+    }
+    let lasting = lasting.join("; ");
     format!(
         "{}  {:<13}  peak {:.2} m/s2{}{}; {lasting}",
         report.name.start.as_deref().unwrap_or(&report.name.record),
