@@ -145,6 +145,13 @@ pub enum Command {
                       spandrel judge footbridge.toml --series footbridge.csv --course days.csv"
     )]
     Judge(JudgeArguments),
+    /// Report what earthquakes did to a structure: peaks, softening, recovery and lasting loss.
+    ///
+    /// The recordings are judged in the order of their time, each against the earlier ones.
+    #[command(
+        after_help = "Example: spandrel earthquake bridge.toml 2012.zip 2022-main.zip 2022-aftershock.zip --report events"
+    )]
+    Earthquake(EarthquakeArguments),
     /// Describe a recording: channels, rates, gaps, statistics and spectral peaks.
     #[command(after_help = "Examples: spandrel info bridge.mseed\n          \
                       spandrel info tower.dat --rate 100 --json")]
@@ -733,6 +740,34 @@ pub struct JudgeArguments {
 }
 
 #[derive(Debug, Args)]
+pub struct EarthquakeArguments {
+    /// Structure file.
+    #[arg(value_name = "STRUCTURE.toml")]
+    pub structure: PathBuf,
+    /// Recordings of the events, weak ones included: files of any known format.
+    ///
+    /// They are sorted by their dates. Without dates, the given order counts.
+    #[arg(required = true, value_name = "RECORD")]
+    pub records: Vec<PathBuf>,
+    /// Folder for the reports: EVENT.html and EVENT.json of each event, and index.html.
+    ///
+    /// The index lists all reports in the folder, also those of other structures.
+    #[arg(long, value_name = "DIR")]
+    pub report: PathBuf,
+    /// Peak acceleration of the structure above which motion is strong (m/s²).
+    ///
+    /// Only weaker motion can show a lasting loss.
+    #[arg(long, default_value_t = 1.0, value_name = "M/S2", value_parser = positive, allow_negative_numbers = true)]
+    pub strong: f64,
+    /// Loss of stiffness that matters, as a share.
+    #[arg(long, default_value_t = 0.05, value_name = "SHARE", value_parser = below_1, allow_negative_numbers = true)]
+    pub loss: f64,
+    /// Probability from which a loss is raised.
+    #[arg(long, default_value_t = 0.99, value_name = "PROBABILITY", value_parser = below_1, allow_negative_numbers = true)]
+    pub credibility: f64,
+}
+
+#[derive(Debug, Args)]
 pub struct InfoArguments {
     /// Recording: a file of any known format, or a zip archive or folder of such files.
     pub record: PathBuf,
@@ -1087,6 +1122,13 @@ fn share(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1.0 => Ok(value),
         Ok(_) | Err(_) => Err("must be above 0 and at most 1".to_owned()),
+    }
+}
+
+fn below_1(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value < 1.0 => Ok(value),
+        Ok(_) | Err(_) => Err("must be above 0 and below 1".to_owned()),
     }
 }
 

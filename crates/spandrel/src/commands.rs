@@ -7,6 +7,7 @@ mod check;
 mod convert;
 mod dashboard;
 mod demo;
+mod earthquake;
 mod estimate;
 mod feed;
 mod info;
@@ -73,6 +74,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         Command::Baseline(arguments) => baseline::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Check(arguments) => check::run(arguments),
+        Command::Earthquake(arguments) => earthquake::run(&arguments),
         Command::Judge(arguments) => judge::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),

@@ -4,6 +4,7 @@ use spandrel_access::AccessError;
 use spandrel_alert::AlertError;
 use spandrel_bus::{BusError, NameError};
 use spandrel_dashboard::DashboardError;
+use spandrel_earthquake::EarthquakeError;
 use spandrel_feed::FeedError;
 use spandrel_history::HistoryError;
 use spandrel_identify::IdentifyError;
@@ -471,6 +472,38 @@ pub enum AppError {
         /// Reason of the drawing library.
         reason: String,
     },
+    /// A setting of the report of an earthquake is not valid.
+    #[error(transparent)]
+    Earthquake(#[from] EarthquakeError),
+    /// The structure has no channel that shows how strongly it moves.
+    #[error("structure {structure} has no channel of an acceleration, must have at least one")]
+    NoAccelerations {
+        /// Name of the structure.
+        structure: String,
+    },
+    /// Two recordings would have the same report.
+    #[error(
+        "{} and {} both start at the same time, so that both reports would be {event}; give one of them",
+        first.display(), second.display()
+    )]
+    SameEvent {
+        /// Path of the first recording.
+        first: PathBuf,
+        /// Path of the second recording.
+        second: PathBuf,
+        /// Name of the report.
+        event: String,
+    },
+    /// Some recordings could not be read. The others are reported.
+    #[error("{count} of {} recordings cannot be reported; the first:", count + reported)]
+    NotReported {
+        /// Number of recordings without a report.
+        count: usize,
+        /// Number of recordings with a report.
+        reported: usize,
+        /// Error of the first.
+        source: Box<AppError>,
+    },
     /// A structure without parameters cannot have a baseline.
     #[error("{}: has no [[parameter]], must have at least one", path.display())]
     NoParameters {
@@ -517,6 +550,10 @@ impl AppError {
             | Self::NothingLearnt { .. }
             | Self::BaselineContradicted { .. }
             | Self::NoParameters { .. }
+            | Self::Earthquake(_)
+            | Self::NoAccelerations { .. }
+            | Self::SameEvent { .. }
+            | Self::NotReported { .. }
             | Self::Modal { .. }
             | Self::UnknownChannel { .. }
             | Self::TooFewChannels { .. }

@@ -7,6 +7,7 @@ mod check_report;
 mod cli;
 mod commands;
 mod distributed;
+mod earthquake;
 mod error;
 mod judge_report;
 mod logging;

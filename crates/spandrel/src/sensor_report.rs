@@ -113,7 +113,8 @@ impl fmt::Display for SensorPage {
     }
 }
 
-fn word(soundness: Soundness) -> &'static str {
+/// Returns the word for people.
+pub fn word(soundness: Soundness) -> &'static str {
     match soundness {
         Soundness::Unchecked => "unchecked",
         Soundness::Sound => "sound",
@@ -123,7 +124,7 @@ fn word(soundness: Soundness) -> &'static str {
 }
 
 /// Returns what to look at first.
-fn advice(fault: Fault) -> &'static str {
+pub fn advice(fault: Fault) -> &'static str {
     let is_near = |factor: f64, unit: f64| (factor / unit).ln().abs() < NEAR_UNIT.ln();
     match fault {
         Fault::Gain(factor) if is_near(factor, GRAVITY) || is_near(factor, GRAVITY.recip()) => {

@@ -56,6 +56,19 @@ impl CommonMotion {
         self.fundamental_hz
     }
 
+    /// Returns the modes: frequency (Hz) and damping ratio as designed, the lowest first.
+    pub fn modes(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let modes = self.modes.iter();
+        modes.map(|mode| (mode.frequency_hz, mode.damping_ratio))
+    }
+
+    /// Returns the acceleration of each member for a slow ground acceleration of 1, and the
+    /// participation φ Γ of each mode at it. The ground has no participation.
+    pub fn shapes(&self) -> impl Iterator<Item = (f64, &[f64])> + '_ {
+        let members = self.members.iter();
+        members.map(|member| (member.rigid, member.participation.as_slice()))
+    }
+
     /// Returns the acceleration that a member measures for a ground acceleration of 1 at a
     /// frequency (Hz), with the stiffness as designed.
     ///

@@ -57,7 +57,7 @@ impl FitSummary {
 
     /// Returns the verdict with its reasons and the share of each verdict: `doubtful at the end
     /// (…); supported 90 % of the time`.
-    pub(super) fn words(&self) -> String {
+    pub fn words(&self) -> String {
         let shares = self
             .shares
             .iter()

@@ -249,8 +249,11 @@ mod tests {
 
     #[test]
     fn fit_of_a_simulated_record_returns_the_simulated_stiffness() {
-        let structure =
-            Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
+        let structure = Structure::parse(
+            crate::robustness::records::bridge::FILE,
+            Path::new("bridge.toml"),
+        )
+        .unwrap();
         let (ratio, left) = Replay::new(&structure).fit(&simulated(&structure), 0);
         // The low-pass filter assumes that the first value of a channel lasted for ever. The
         // structure instead starts at rest.
@@ -262,8 +265,11 @@ mod tests {
 
     #[test]
     fn response_agrees_with_the_simulator() {
-        let structure =
-            Structure::parse(include_str!("bridge.toml"), Path::new("bridge.toml")).unwrap();
+        let structure = Structure::parse(
+            crate::robustness::records::bridge::FILE,
+            Path::new("bridge.toml"),
+        )
+        .unwrap();
         let rows = simulated(&structure);
         let responses = Replay::new(&structure).response(&rows, &[1.0]);
         let observed = structure.observation_channels();

@@ -1,0 +1,64 @@
+//! What an earthquake did to a structure: how strongly it shook, how much the structure softened,
+//! whether it recovered, and whether it has lost stiffness for good.
+//!
+//! The inputs are the samples of the sensors and the stiffness estimates of each frame. The outputs
+//! are figures of the motion, the course of each stiffness over the phases of the record, and one
+//! judgement per event. The judgement compares an event with the earlier ones of the structure.
+//!
+//! ```
+//! use spandrel_earthquake::{EventCourse, FrameEstimate, JudgeSettings, PhaseSettings, Sequence};
+//! use spandrel_earthquake::{spectral_acceleration, windows};
+//!
+//! let ground: Vec<f64> = (0..4000).map(|i| (0.2 * f64::from(i)).sin()).collect();
+//! let sa = spectral_acceleration(&ground, 0.01, 0.3, 0.05)?;
+//! assert!(sa > 1.0);
+//!
+//! let phases = PhaseSettings {
+//!     rate_hz: 100.0, fundamental_hz: 3.0, weak_peak: 2.0, settling_s: 300.0, unsettled_s: 0.0,
+//! };
+//! let windows = windows(&[&ground], &phases)?;
+//! let estimate = FrameEstimate { mean: 0.98, std: 0.02, is_learning: true, is_contradicted: false };
+//! let event = EventCourse::new(&windows, &vec![estimate; ground.len()]);
+//! let settings = JudgeSettings { loss: 0.05, credibility: 0.99, level: 0.95, weak_amplitude: 0.3 };
+//! let judgement = Sequence::new(settings)?.push(event);
+//! assert!(judgement.softening.is_none() && judgement.lasting.is_empty());
+//! # Ok::<(), spandrel_earthquake::EarthquakeError>(())
+//! ```
+//!
+//! - [`mod@motion`]: peak, rms, Arias intensity and significant duration of a channel
+//! - [`oscillator`]: spectral acceleration
+//! - [`phase`]: windows of a record, and whether they are quiet, shaking, settling or weak motion
+//! - [`course`]: the course of a stiffness over the windows
+//! - [`equivalent`]: the equivalent-linear stiffness of the whole structure in each window
+//! - [`between`]: the scatter between events
+//! - [`amplitude`]: softening expected at an amplitude
+//! - [`sequence`]: the judgement of one event after the other
+//!
+//! This crate has no clock, no bus, no log and no I/O. For slow changes under temperatures, without
+//! earthquakes, use `spandrel-judge`.
+
+mod error;
+
+pub mod motion;
+pub mod oscillator;
+
+pub mod course;
+pub mod equivalent;
+pub mod phase;
+
+pub mod amplitude;
+pub mod between;
+pub mod sequence;
+
+pub use amplitude::Expected;
+pub use between::{Coverage, EventValue, Interval, Pooled, leave_one_out};
+pub use course::{CoursePoint, EventCourse, FrameEstimate, WeakMotion};
+pub use equivalent::{Accelerometer, MeasuredMotion, Mode};
+pub use error::EarthquakeError;
+pub use motion::{IntensityFigures, MotionFigures, intensity_figures, motion_figures};
+pub use oscillator::spectral_acceleration;
+pub use phase::{Phase, PhaseSettings, Window, windows};
+pub use sequence::{
+    Candidate, EventJudgement, JudgeSettings, LastingLoss, Reference, ReferenceKind, Sequence,
+    Softening, Waiting, WeakState,
+};

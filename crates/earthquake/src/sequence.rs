@@ -1,0 +1,499 @@
+//! Judges one stiffness parameter event by event.
+//!
+//! Notation: y and s as in [`course`](crate::course), τ and se as in [`between`](crate::between).
+//!
+//! Softening in motion compares the softest window of the shaking with the sound value, which the
+//! earlier events predict with the variance τ² + se². It informs, and says nothing about damage.
+//!
+//! A lasting loss since event c compares weak motion only: the events before c with event c after its
+//! shaking and all later ones. Their difference is
+//!
+//! δ = θ̄*(after) − θ̄*(before),  variance se²(after) + se²(before),
+//!
+//! where τ comes from the events before c. With equal deviations s, this variance is
+//! τ²(1/m + 1/n) + s²/m + s²/n for m events before and n after. δ has a Student distribution with
+//! the degrees of freedom of τ.
+
+use crate::amplitude::{Expected, Softened, compare};
+use crate::between::{
+    Coverage, EventValue, Interval, Pooled, leave_one_out, student_cdf, student_quantile,
+};
+use crate::course::{EventCourse, WeakMotion};
+use crate::error::{EarthquakeError, require};
+use serde::Serialize;
+
+/// Scatter τ between events that is assumed while fewer than four events show their own (Δ ln k).
+///
+/// The weak motion of a highway bridge scatters by 10 % of stiffness between events.
+const ASSUMED_SCATTER: f64 = 0.1;
+
+/// Minimum number of earlier events whose own scatter decides. With one degree of freedom, Student's t
+/// has so long tails that it says nothing.
+const FEWEST_EARLIER: usize = 4;
+
+/// Degrees of freedom of a normal distribution.
+const NORMAL: f64 = 1e6;
+
+/// Minimum number of weak windows after shaking for a statement from one record.
+const FEWEST_WINDOWS: usize = 3;
+
+/// What is judged, and how certain a statement must be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JudgeSettings {
+    /// Loss of stiffness that matters (share of the sound stiffness).
+    pub loss: f64,
+    /// Probability from which a loss is raised.
+    pub credibility: f64,
+    /// Level of the stated intervals.
+    pub level: f64,
+    /// log10 of the root mean square above which motion is strong.
+    pub weak_amplitude: f64,
+}
+
+impl JudgeSettings {
+    fn check(&self) -> Result<(), EarthquakeError> {
+        let share = |setting, found| {
+            let is_valid = found > 0.0 && found < 1.0;
+            require(is_valid, setting, found, "above 0 and below 1")
+        };
+        share("loss", self.loss)?;
+        share("credibility", self.credibility)?;
+        share("level", self.level)?;
+        let found = self.weak_amplitude;
+        require(
+            found.is_finite(),
+            "amplitude of weak motion",
+            found,
+            "finite",
+        )
+    }
+}
+
+/// Where the sound value comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReferenceKind {
+    /// At least four earlier events, with their scatter.
+    Events,
+    /// One to three earlier events, with an assumed scatter.
+    FewEvents,
+    /// The weak motion of the same record, with an assumed scatter.
+    OwnWeakMotion,
+    /// The end of the same record, with an assumed scatter. The structure has perhaps not regained
+    /// all of its stiffness, so that the softening is a lower bound.
+    OwnRecovery,
+}
+
+/// The sound value of an event.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Reference {
+    /// Where it comes from.
+    pub kind: ReferenceKind,
+    /// Number of events.
+    pub events: usize,
+    /// Mean of y.
+    pub y: f64,
+    /// Standard deviation of y for a further event: √(τ² + se²).
+    pub std: f64,
+    /// τ
+    pub between_std: f64,
+    /// Degrees of freedom. `None` for a normal distribution.
+    pub degrees_of_freedom: Option<f64>,
+}
+
+/// The softest moment of the shaking.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Softening {
+    /// Middle of the softest window since the first frame (s).
+    pub at_s: f64,
+    /// log10 of the root mean square of the response in this window.
+    pub amplitude: f64,
+    /// Relative change of stiffness, such as −0.4.
+    pub change: f64,
+    /// Interval of the change, with the scatter between events.
+    pub interval: Interval,
+    /// Probability that the stiffness was below (1 − loss) times the sound one.
+    pub probability: f64,
+    /// Whether this probability reaches the credibility.
+    pub is_raised: bool,
+    /// Whether the data contradict the model in this window, so that the figures are rough.
+    pub is_contradicted: bool,
+    /// What the earlier events let expect. `None` if none of them shook.
+    pub expected: Option<Expected>,
+}
+
+/// The weak motion of an event, compared with the earlier events.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WeakState {
+    /// Weak motion of the record, after the shaking if there was any.
+    pub motion: WeakMotion,
+    /// Interval of k within this record (ratio to nominal).
+    pub within: Interval,
+    /// Interval of k that the earlier events predict (ratio to nominal). `None` with fewer than
+    /// three earlier events.
+    pub predicted: Option<Interval>,
+    /// Relative change against the earlier events. `None` without any.
+    pub change: Option<f64>,
+}
+
+/// Why a lasting loss cannot be judged yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case", tag = "reason")]
+pub enum Waiting {
+    /// Too few events before show the scatter of sound values. Later events cannot replace them.
+    EarlierEvents {
+        /// Number of events with weak motion before.
+        found: usize,
+        /// Number required.
+        required: usize,
+    },
+    /// Too little weak motion since: three windows of it, an aftershock or another weak record is
+    /// missing.
+    WeakMotion {
+        /// Number of weak windows after the shaking.
+        found: usize,
+        /// Number required.
+        required: usize,
+    },
+}
+
+/// A lasting loss since an event, judged from weak motion.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LastingLoss {
+    /// Number of events before, m.
+    pub earlier: usize,
+    /// Number of events since, n.
+    pub later: usize,
+    /// Most probable loss (share of the stiffness before; negative = stiffer).
+    pub loss: f64,
+    /// Interval of the loss.
+    pub interval: Interval,
+    /// Probability of any loss.
+    pub probability_of_any: f64,
+    /// Probability of more than the loss that matters.
+    pub probability: f64,
+    /// Smallest loss that this number of events could raise.
+    pub smallest: f64,
+    /// Whether the probability reaches the credibility.
+    pub is_raised: bool,
+}
+
+/// What is known about a lasting loss since one event.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Candidate {
+    /// Index of the event that shook.
+    pub since: usize,
+    /// The loss. `None` while it cannot be judged.
+    pub loss: Option<LastingLoss>,
+    /// What a judgement waits for. `None` if there is one.
+    pub waiting: Option<Waiting>,
+}
+
+/// The judgement of one event.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EventJudgement {
+    /// Index of the event.
+    pub event: usize,
+    /// Sound value. `None` without earlier events and without weak motion of its own.
+    pub reference: Option<Reference>,
+    /// Softest moment. `None` without shaking or without a reference.
+    pub softening: Option<Softening>,
+    /// Weak motion after the shaking. `None` if there was none.
+    pub weak: Option<WeakState>,
+    /// Lasting loss since each event that shook or whose weak motion was softer than predicted, this
+    /// one included, in the order of time.
+    pub lasting: Vec<Candidate>,
+}
+
+impl EventJudgement {
+    /// Returns the raised lasting loss since the latest event, if any.
+    #[must_use]
+    pub fn raised(&self) -> Option<(usize, LastingLoss)> {
+        let raised = |candidate: &Candidate| {
+            let loss = candidate.loss.filter(|loss| loss.is_raised)?;
+            Some((candidate.since, loss))
+        };
+        self.lasting.iter().rev().find_map(raised)
+    }
+
+    /// Returns the judged loss that most probably exceeds the loss that matters.
+    #[must_use]
+    pub fn most_probable(&self) -> Option<(usize, LastingLoss)> {
+        let judged = self.lasting.iter();
+        judged
+            .filter_map(|candidate| Some((candidate.since, candidate.loss?)))
+            .max_by(|a, b| a.1.probability.total_cmp(&b.1.probability))
+    }
+
+    /// Returns what is known about a lasting loss since this very event. `None` if it did not shake.
+    #[must_use]
+    pub fn own(&self) -> Option<&Candidate> {
+        self.lasting
+            .iter()
+            .find(|candidate| candidate.since == self.event)
+    }
+}
+
+/// The events of one parameter in the order of time.
+#[derive(Debug, Clone)]
+pub struct Sequence {
+    settings: JudgeSettings,
+    events: Vec<EventCourse>,
+    softened: Vec<Option<Softened>>,
+    /// Whether the weak motion of each event was softer than the earlier events predicted.
+    is_softer: Vec<bool>,
+    /// First event of the present reference: the latest with a raised lasting loss.
+    reference_from: usize,
+}
+
+impl Sequence {
+    /// Creates an empty sequence.
+    ///
+    /// # Errors
+    /// A setting is out of range.
+    pub fn new(settings: JudgeSettings) -> Result<Self, EarthquakeError> {
+        settings.check()?;
+        Ok(Self {
+            settings,
+            events: Vec::new(),
+            softened: Vec::new(),
+            is_softer: Vec::new(),
+            reference_from: 0,
+        })
+    }
+
+    /// Adds an event that is later than all others, and judges it.
+    pub fn push(&mut self, event: EventCourse) -> EventJudgement {
+        let index = self.events.len();
+        let reference = self.reference(&event);
+        let softened = reference.and_then(|reference| self.softened(&event, &reference));
+        let softening = reference
+            .zip(softened)
+            .and_then(|(reference, softened)| self.softening(&event, &reference, &softened));
+        let weak = event.after.map(|motion| self.weak_state(motion));
+        let predicted = weak.and_then(|weak| Some((weak.motion.y.exp(), weak.predicted?)));
+        self.is_softer
+            .push(predicted.is_some_and(|(k, interval)| k < interval.low));
+        self.events.push(event);
+        self.softened.push(softened);
+        let lasting = self.lasting();
+        EventJudgement {
+            event: index,
+            reference,
+            softening,
+            weak,
+            lasting,
+        }
+    }
+
+    /// Returns the interval of y in which the events of the present reference expect the weak motion
+    /// of a further event that is known exactly. `None` with fewer than three events.
+    #[must_use]
+    pub fn expected(&self) -> Option<Interval> {
+        let earlier = self.values(self.reference_from, self.events.len());
+        Pooled::new(&earlier)?.prediction(0.0, self.settings.level)
+    }
+
+    /// Returns how often the weak motion of an event lies in the interval that all other events
+    /// predict, among the events of this range.
+    #[must_use]
+    pub fn coverage(&self, events: std::ops::Range<usize>) -> Coverage {
+        let values: Vec<EventValue> = self.values(events.start, events.end);
+        leave_one_out(&values, self.settings.level)
+    }
+
+    /// Returns the pooled weak motion of the events of this range. `None` if there is none.
+    #[must_use]
+    pub fn pooled(&self, events: std::ops::Range<usize>) -> Option<Pooled> {
+        Pooled::new(&self.values(events.start, events.end))
+    }
+
+    /// Returns the weak motion of all records from `from` to before `end`.
+    fn values(&self, from: usize, end: usize) -> Vec<EventValue> {
+        let events = self.events.get(from..end).unwrap_or(&[]);
+        events
+            .iter()
+            .filter_map(EventCourse::weak)
+            .map(value)
+            .collect()
+    }
+
+    fn reference(&self, event: &EventCourse) -> Option<Reference> {
+        let earlier = self.values(self.reference_from, self.events.len());
+        let (kind, pooled) = if earlier.len() >= FEWEST_EARLIER {
+            (ReferenceKind::Events, Pooled::new(&earlier)?)
+        } else if earlier.is_empty() {
+            let weak = event.before.or(event.after);
+            let kind = match weak {
+                Some(_) => ReferenceKind::OwnWeakMotion,
+                None => ReferenceKind::OwnRecovery,
+            };
+            let own = value(weak.or_else(|| event.regained())?);
+            (kind, Pooled::with_scatter(&[own], ASSUMED_SCATTER)?)
+        } else {
+            let few = Pooled::with_scatter(&earlier, ASSUMED_SCATTER)?;
+            (ReferenceKind::FewEvents, few)
+        };
+        Some(Reference {
+            kind,
+            events: pooled.events,
+            y: pooled.mean,
+            std: pooled.further_std(0.0),
+            between_std: pooled.between_std,
+            degrees_of_freedom: match kind {
+                ReferenceKind::Events => pooled.degrees_of_freedom(),
+                ReferenceKind::FewEvents
+                | ReferenceKind::OwnWeakMotion
+                | ReferenceKind::OwnRecovery => None,
+            },
+        })
+    }
+
+    /// Returns how much the event softened, against its own weak motion if there is any.
+    fn softened(&self, event: &EventCourse, reference: &Reference) -> Option<Softened> {
+        let softest = event.softest()?;
+        Some(Softened {
+            decades: (softest.amplitude - self.settings.weak_amplitude).max(0.0),
+            change: softest.y - reference.y,
+            variance: softest.s.powi(2) + reference.std.max(ASSUMED_SCATTER).powi(2),
+        })
+    }
+
+    fn softening(
+        &self,
+        event: &EventCourse,
+        reference: &Reference,
+        softened: &Softened,
+    ) -> Option<Softening> {
+        let softest = event.softest()?;
+        let degrees = reference.degrees_of_freedom.unwrap_or(NORMAL);
+        let std = softest.s.hypot(reference.std);
+        let change = softened.change;
+        let half = student_quantile(degrees, 0.5 + 0.5 * self.settings.level) * std;
+        let limit = (1.0 - self.settings.loss).ln();
+        let probability = student_cdf(degrees, (limit - change) / std);
+        let earlier: Vec<Softened> = self.softened.iter().flatten().copied().collect();
+        Some(Softening {
+            at_s: 0.5 * (softest.start_s + softest.end_s),
+            amplitude: softest.amplitude,
+            change: change.exp_m1(),
+            interval: Interval {
+                low: change - half,
+                high: change + half,
+            }
+            .map(f64::exp_m1),
+            probability,
+            is_raised: probability >= self.settings.credibility,
+            is_contradicted: softest.is_contradicted,
+            expected: compare(&earlier, softened),
+        })
+    }
+
+    fn weak_state(&self, motion: WeakMotion) -> WeakState {
+        let earlier = self.values(self.reference_from, self.events.len());
+        let pooled = Pooled::new(&earlier);
+        let half = student_quantile(NORMAL, 0.5 + 0.5 * self.settings.level) * motion.s;
+        let within = Interval {
+            low: motion.y - half,
+            high: motion.y + half,
+        };
+        let predicted = pooled.and_then(|all| all.prediction(motion.s, self.settings.level));
+        WeakState {
+            motion,
+            within: within.map(f64::exp),
+            predicted: predicted.map(|interval| interval.map(f64::exp)),
+            change: pooled.map(|pooled| (motion.y - pooled.mean).exp_m1()),
+        }
+    }
+
+    /// Judges a lasting loss since each event that shook, or whose weak motion was softer than
+    /// predicted: what happened before it may not have been recorded. A raised loss starts a new
+    /// reference.
+    fn lasting(&mut self) -> Vec<Candidate> {
+        let mut from = 0;
+        let mut candidates = Vec::new();
+        for since in 0..self.events.len() {
+            if !self.events[since].has_shaking && !self.is_softer[since] {
+                continue;
+            }
+            let candidate = self.candidate(from, since);
+            if candidate.loss.is_some_and(|loss| loss.is_raised) {
+                from = since;
+            }
+            candidates.push(candidate);
+        }
+        self.reference_from = from;
+        candidates
+    }
+
+    fn candidate(&self, from: usize, since: usize) -> Candidate {
+        let waits = |waiting| Candidate {
+            since,
+            loss: None,
+            waiting: Some(waiting),
+        };
+        let before = self.values(from, since);
+        if before.len() < FEWEST_EARLIER {
+            return waits(Waiting::EarlierEvents {
+                found: before.len(),
+                required: FEWEST_EARLIER,
+            });
+        }
+        let own = self.events[since].after;
+        let later = self.events[since + 1..]
+            .iter()
+            .filter_map(EventCourse::weak);
+        let later: Vec<EventValue> = later.map(value).collect();
+        let windows = own.map_or(0, |own| own.windows);
+        if later.is_empty() && windows < FEWEST_WINDOWS {
+            return waits(Waiting::WeakMotion {
+                found: windows,
+                required: FEWEST_WINDOWS,
+            });
+        }
+        // Too few windows of its own say nothing, also with later events.
+        let own = own.filter(|own| own.windows >= FEWEST_WINDOWS).map(value);
+        let after: Vec<EventValue> = own.into_iter().chain(later).collect();
+        let loss = self.loss(&before, &after);
+        Candidate {
+            since,
+            loss,
+            waiting: None,
+        }
+    }
+
+    fn loss(&self, before: &[EventValue], after: &[EventValue]) -> Option<LastingLoss> {
+        let sound = Pooled::new(before)?;
+        let degrees = sound.degrees_of_freedom()?;
+        let now = Pooled::with_scatter(after, sound.between_std)?;
+        let delta = now.mean - sound.mean;
+        let std = now.mean_std.hypot(sound.mean_std);
+        let half = student_quantile(degrees, 0.5 + 0.5 * self.settings.level) * std;
+        let limit = (1.0 - self.settings.loss).ln();
+        let probability = student_cdf(degrees, (limit - delta) / std);
+        let margin = student_quantile(degrees, self.settings.credibility) * std;
+        Some(LastingLoss {
+            earlier: before.len(),
+            later: after.len(),
+            loss: -delta.exp_m1(),
+            interval: Interval {
+                low: -(delta + half).exp_m1(),
+                high: -(delta - half).exp_m1(),
+            },
+            probability_of_any: student_cdf(degrees, -delta / std),
+            probability,
+            smallest: -(limit - margin).exp_m1(),
+            is_raised: probability >= self.settings.credibility,
+        })
+    }
+}
+
+fn value(motion: WeakMotion) -> EventValue {
+    EventValue {
+        value: motion.y,
+        std: motion.s,
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,400 @@
+//! `spandrel earthquake`: a bridge in 21 earthquakes, a simulated hysteretic building, and
+//! recordings with mistakes.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+#[path = "support/page.rs"]
+mod page;
+mod support;
+
+use page::{Page, root};
+use rand::{RngExt as _, SeedableRng};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use support::records_or_skip;
+
+fn earthquake(structure: &Path, records: &[PathBuf], report: &Path) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    command.arg("earthquake").arg(structure).args(records);
+    command.arg("--report").arg(report).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Returns the reports of a folder, by the name of their recordings.
+fn reports(folder: &Path) -> BTreeMap<String, Value> {
+    let files = std::fs::read_dir(folder).unwrap();
+    let paths = files.map(|file| file.unwrap().path());
+    let json = paths.filter(|path| {
+        path.extension()
+            .is_some_and(|extension| extension == "json")
+    });
+    json.map(|path| {
+        let report: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert!(path.with_extension("html").exists(), "{}", path.display());
+        (report["record"].as_str().unwrap().to_owned(), report)
+    })
+    .collect()
+}
+
+/// Returns the judgement of the first stiffness of a report.
+fn judgement(report: &Value) -> &Value {
+    &report["parameters"][0]["judgement"]
+}
+
+fn softened(report: &Value) -> bool {
+    judgement(report)["softening"]["is_raised"] == true
+}
+
+/// Returns the lasting losses of a report that are raised.
+fn raised(report: &Value) -> Vec<&Value> {
+    let all = judgement(report)["lasting"].as_array().unwrap().iter();
+    all.filter(|candidate| candidate["loss"]["is_raised"] == true)
+        .collect()
+}
+
+/// The 21 earthquakes of the bridge, as their files begin.
+const BRIDGE: [&str; 21] = [
+    "riodell82",
+    "eureka_24aug1983",
+    "capemendocino_21nov1986",
+    "capemendocinoaftershock_21nov1986",
+    "petrolia91",
+    "petrolia_25apr1992",
+    "petroliaaftershock1_26apr1992",
+    "RioDell_14Sep2012_71842255",
+    "bayview_11oct2013_72086051",
+    "riodell_19oct2014_72330211",
+    "ferndale_28jan2015_72387946",
+    "petrolia_05dec2016_72733405",
+    "ferndaleoffshore_08dec2016_us20007z6r",
+    "nc73666231",
+    "nc73667866",
+    "nc73821036",
+    "nc73821636",
+    "nc73827571",
+    "nc73925281",
+    "nc73943821",
+    "nc73943846",
+];
+/// Number of archives that lack the motion of the ground, so that nothing can be identified.
+const WITHOUT_GROUND: usize = 3;
+
+fn archive(name: &str) -> String {
+    format!("{name}_ce89324p.zip")
+}
+
+/// The acceptance of the judgement: softening in the three strong earthquakes, no lasting loss before
+/// 20 December 2022, and the figures after it.
+#[test]
+fn bridge_in_21_earthquakes_softens_three_times_and_raises_no_loss_before_december_2022() {
+    let Some(records) = records_or_skip("painter-street-bridge") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let structure = root().join("docs/examples/highway-bridge.toml");
+    // Not in the order of time, which the command must find.
+    let mut paths: Vec<PathBuf> = BRIDGE
+        .iter()
+        .map(|name| records.join(archive(name)))
+        .collect();
+    paths.rotate_left(7);
+    let output = earthquake(&structure, &paths, folder.path());
+    let (stdout, stderr) = (text(&output.stdout), text(&output.stderr));
+    println!("{stdout}");
+    // Three archives lack the motion of the ground: they are named, and all others are reported.
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    let count = format!("{WITHOUT_GROUND} of 21 recordings cannot be reported");
+    assert!(stderr.contains(&count), "{stderr}");
+    assert!(
+        stderr.contains("has no channel `channel-3.acceleration`"),
+        "{stderr}"
+    );
+    let starts: Vec<&str> = stdout.lines().filter_map(|line| line.get(..10)).collect();
+    assert!(
+        starts.is_sorted() && starts.len() == BRIDGE.len() - WITHOUT_GROUND,
+        "{starts:?}"
+    );
+
+    let reports = reports(folder.path());
+    let of = |name: &str| &reports[&archive(name)];
+    for strong in ["petrolia_25apr1992", "nc73821036", "nc73827571"] {
+        assert!(softened(of(strong)), "{strong}");
+    }
+    for report in reports.values() {
+        let start = report["start"].as_str().unwrap();
+        if start < "2022-12-20" {
+            assert!(raised(report).is_empty(), "{start}: {:?}", raised(report));
+        }
+    }
+}
+
+/// Masses (kg), stiffness of each storey (N/m) and damping ratio of the simulated building.
+const MASS: f64 = 1e5;
+const STIFFNESS: f64 = 8e7;
+const DAMPING: f64 = 0.03;
+const RATE_HZ: f64 = 100.0;
+const FLOORS: usize = 3;
+
+/// Structure file of the building, as its owner would write it: linear.
+fn building() -> String {
+    let mut text = format!(
+        "[structure]\nname = \"block-7\"\nsampling-rate-hz = {RATE_HZ}\n\n[model]\n\
+         kind = \"shear-building\"\nmasses-kg = [{MASS}, {MASS}, {MASS}]\n\
+         stiffnesses-n-per-m = [{STIFFNESS}, {STIFFNESS}, {STIFFNESS}]\n\n[damping]\n\
+         kind = \"rayleigh\"\nratio = {DAMPING}\nmodes = [1, 2]\n\n[[excitation]]\n\
+         name = \"ground\"\nkind = \"ground\"\nstd = 0.3\nmeasured-on = \"ground\"\n\n\
+         [[node]]\nname = \"recorder\"\n\n[[node.channel]]\nname = \"ground\"\n\
+         quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.001\n"
+    );
+    for floor in 1..=FLOORS {
+        text += &format!(
+            "\n[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"absolute-acceleration\"\n\
+             dof = {floor}\nunit = \"m/s2\"\nnoise-std = 0.01\nnoise-group = \"floors\"\n\
+             adapt-noise = true\n\n[[parameter]]\nname = \"storey-{floor}\"\nscales = \"stiffness\"\n\
+             of = [\"storey-{floor}\"]\nstd = 0.3\n"
+        );
+    }
+    text + "\n[record]\ntime-column = \"time\"\n"
+}
+
+/// Simulates an earthquake by Runge-Kutta of fourth order with four steps per sample.
+///
+/// The first storey yields: its force is α k r + (1 − α) k z, with the hysteretic displacement
+/// ż = ṙ − |ṙ||z|² z/(2 r_y³) − ṙ|z|³/(2 r_y³) (Bouc-Wen with n = 3).
+fn quake(seed: u64, peak: f64, first_storey: f64) -> Vec<[f64; FLOORS + 1]> {
+    const SECONDS: usize = 60;
+    const PARTS: u32 = 4;
+    const YIELD_M: f64 = 0.008;
+    const ALPHA: f64 = 0.1;
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let frames = SECONDS * RATE_HZ as usize;
+    let (mut level, mut ground) = (0.0, Vec::with_capacity(frames));
+    for frame in 0..frames {
+        let time_s = frame as f64 / RATE_HZ;
+        let envelope = match time_s {
+            t if t < 8.0 => 0.001,
+            t if t < 11.0 => (t - 8.0) / 3.0,
+            t if t < 17.0 => 1.0,
+            t => (-(t - 17.0) / 7.0).exp(),
+        };
+        level = 0.75 * level + random.random_range(-1.0..1.0);
+        ground.push(envelope * level);
+    }
+    let largest = ground.iter().fold(0.0_f64, |most, a| most.max(a.abs()));
+    ground.iter_mut().for_each(|a| *a *= peak / largest);
+    let springs = [first_storey * STIFFNESS, STIFFNESS, STIFFNESS];
+    // Proportional to stiffness, with the ratio at the first frequency of 2 Hz.
+    let viscous = springs.map(|k| 2.0 * DAMPING / (std::f64::consts::TAU * 2.0) * k);
+    let slope = |a: f64, y: &[f64; 7]| {
+        let (x, v, z) = (&y[..3], &y[3..6], y[6]);
+        let drift = [x[0], x[1] - x[0], x[2] - x[1]];
+        let speed = [v[0], v[1] - v[0], v[2] - v[1]];
+        let mut force = [0.0; 3];
+        for storey in 0..3 {
+            let spring = match storey {
+                0 => springs[0] * (ALPHA * drift[0] + (1.0 - ALPHA) * z),
+                _ => springs[storey] * drift[storey],
+            };
+            force[storey] = spring + viscous[storey] * speed[storey];
+        }
+        let yielding = z.abs().powi(2) / (2.0 * YIELD_M.powi(3));
+        let z_rate = speed[0] - speed[0].abs() * yielding * z - speed[0] * yielding * z.abs();
+        [
+            v[0],
+            v[1],
+            v[2],
+            (force[1] - force[0]) / MASS - a,
+            (force[2] - force[1]) / MASS - a,
+            -force[2] / MASS - a,
+            z_rate,
+        ]
+    };
+    let step = 1.0 / (RATE_HZ * f64::from(PARTS));
+    let (mut y, mut rows) = ([0.0; 7], Vec::with_capacity(frames));
+    for (frame, a) in ground.iter().enumerate() {
+        let next = ground.get(frame + 1).unwrap_or(a);
+        let accelerations = slope(*a, &y);
+        let mut noise = |std: f64| std * random.random_range(-1.7..1.7);
+        rows.push([
+            a + noise(0.0005),
+            accelerations[3] + a + noise(0.001),
+            accelerations[4] + a + noise(0.001),
+            accelerations[5] + a + noise(0.001),
+        ]);
+        for part in 0..PARTS {
+            let at = |share: f64| a + (next - a) * (f64::from(part) + share) / f64::from(PARTS);
+            let plus = |k: &[f64; 7], h: f64| {
+                let mut moved = y;
+                moved.iter_mut().zip(k).for_each(|(y, k)| *y += h * k);
+                moved
+            };
+            let k1 = slope(at(0.0), &y);
+            let k2 = slope(at(0.5), &plus(&k1, 0.5 * step));
+            let k3 = slope(at(0.5), &plus(&k2, 0.5 * step));
+            let k4 = slope(at(1.0), &plus(&k3, step));
+            for row in 0..7 {
+                y[row] += step / 6.0 * (k1[row] + 2.0 * k2[row] + 2.0 * k3[row] + k4[row]);
+            }
+        }
+    }
+    rows
+}
+
+/// Writes the recordings of a building whose first storey has these stiffnesses, event by event, and
+/// returns their reports in the order of time.
+fn simulated_events(folder: &Path, events: &[(f64, f64)]) -> Vec<Value> {
+    let structure = folder.join("block-7.toml");
+    std::fs::write(&structure, building()).unwrap();
+    let mut paths = Vec::new();
+    for (index, (peak, first_storey)) in events.iter().enumerate() {
+        let start_s = 1_600_000_000 + 2_592_000 * index;
+        let mut table = "time,ground,floor-1,floor-2,floor-3\n".to_owned();
+        for (frame, row) in quake(7 + index as u64, *peak, *first_storey)
+            .iter()
+            .enumerate()
+        {
+            let time_s = frame as f64 / RATE_HZ;
+            let values: Vec<String> = row.iter().map(|value| format!("{value:.6}")).collect();
+            table += &format!(
+                "{}.{:02},{}\n",
+                start_s + frame / 100,
+                frame % 100,
+                values.join(",")
+            );
+            assert!(time_s < 60.0);
+        }
+        let path = folder.join(format!("event-{index:02}.csv"));
+        std::fs::write(&path, table).unwrap();
+        paths.push(path);
+    }
+    let output = earthquake(&structure, &paths, &folder.join("reports"));
+    println!("{}", text(&output.stdout));
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let mut reports: Vec<Value> = reports(&folder.join("reports")).into_values().collect();
+    reports.sort_by_key(|report| report["start"].as_str().unwrap().to_owned());
+    reports
+}
+
+/// Peak of the ground (m/s²) of a weak and of a strong event.
+const WEAK: f64 = 0.15;
+const STRONG: f64 = 3.0;
+
+#[test]
+fn yielding_building_softens_in_motion_and_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let peaks = [
+        WEAK, WEAK, WEAK, WEAK, WEAK, STRONG, WEAK, STRONG, WEAK, WEAK,
+    ];
+    let reports = simulated_events(folder.path(), &peaks.map(|peak| (peak, 1.0)));
+    for (index, report) in reports.iter().enumerate() {
+        assert!(
+            raised(report).is_empty(),
+            "event {index}: {:?}",
+            raised(report)
+        );
+        let is_strong = peaks[index] > 1.0;
+        assert_eq!(
+            softened(report),
+            is_strong,
+            "event {index}: {}",
+            report["headline"]
+        );
+    }
+    let second = &judgement(&reports[7])["softening"]["expected"];
+    assert_eq!(second["is_as_expected"], true, "{second}");
+    // The drifts of the three storeys are stated.
+    assert_eq!(reports[5]["responses"].as_array().unwrap().len(), FLOORS);
+}
+
+#[test]
+fn building_that_loses_a_storey_for_good_is_found_from_weak_motion() {
+    const LEFT: f64 = 0.5;
+    let folder = tempfile::tempdir().unwrap();
+    let sound = [WEAK; 6].map(|peak| (peak, 1.0));
+    let damaged = [STRONG, WEAK, WEAK, WEAK].map(|peak| (peak, LEFT));
+    let events: Vec<(f64, f64)> = sound.into_iter().chain(damaged).collect();
+    let reports = simulated_events(folder.path(), &events);
+    assert!(reports[..6].iter().all(|report| raised(report).is_empty()));
+    let last = &reports[9];
+    let loss = raised(last)[0];
+    assert_eq!(loss["since"], 6, "{loss}");
+    assert_eq!(last["urgency"], "inspect-first");
+    // The first frequency of the chain falls as that of its first mode: k of the whole structure.
+    let frequency = |first: f64| lowest_eigenvalue(first);
+    let truth = 1.0 - frequency(LEFT) / frequency(1.0);
+    let (low, high) = (
+        loss["loss"]["interval"]["low"].as_f64().unwrap(),
+        loss["loss"]["interval"]["high"].as_f64().unwrap(),
+    );
+    assert!((low..=high).contains(&truth), "{truth}: {low} to {high}");
+}
+
+/// Returns the lowest root of det(K − λM) of the chain, in units of k/m, by bisection of the sign of
+/// the Sturm sequence.
+fn lowest_eigenvalue(first_storey: f64) -> f64 {
+    let diagonal = [first_storey + 1.0, 2.0, 1.0];
+    let has_below = |lambda: f64| {
+        let mut pivot = diagonal[0] - lambda;
+        let mut negative = pivot < 0.0;
+        for entry in &diagonal[1..] {
+            pivot = entry - lambda - 1.0 / pivot;
+            negative |= pivot < 0.0;
+        }
+        negative
+    };
+    let (mut low, mut high) = (0.0, 2.0);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if has_below(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    low
+}
+
+#[test]
+fn mistakes_are_named_with_their_file_and_exit_code_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let structure = folder.path().join("block-7.toml");
+    std::fs::write(&structure, building()).unwrap();
+    let record = folder.path().join("event.csv");
+    std::fs::write(&record, "time,ground,floor-1\n0.00,0.1,0.1\n0.01,0.1,0.1\n").unwrap();
+    let missing = folder.path().join("missing.csv");
+    for (path, told) in [
+        (&record, &["event.csv", "floor-2"][..]),
+        (&missing, &["missing.csv", "No such file"]),
+    ] {
+        let output = earthquake(&structure, &[path.clone()], &folder.path().join("reports"));
+        assert_eq!(output.status.code(), Some(2));
+        let stderr = text(&output.stderr);
+        assert!(told.iter().all(|part| stderr.contains(part)), "{stderr}");
+    }
+    assert!(
+        !folder.path().join("reports").exists(),
+        "nothing is written without a report"
+    );
+}
+
+#[test]
+fn earthquake_page_works_as_printed() {
+    let Some(records) = records_or_skip("painter-street-bridge") else {
+        return;
+    };
+    let page = Page::open("earthquakes.md");
+    page.have(&root().join("docs/examples/highway-bridge.toml"));
+    for name in BRIDGE {
+        page.have(&records.join(archive(name)));
+    }
+    assert_eq!(page.follow(page::here), 2);
+}
