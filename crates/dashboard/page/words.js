@@ -1,6 +1,6 @@
 // Names of states and formats of numbers. The formats of times and addresses are beside it.
 
-import { duration } from "./time.js";
+import { duration, time } from "./time.js";
 
 export * from "./address.js";
 export * from "./time.js";
