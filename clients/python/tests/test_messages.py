@@ -114,3 +114,35 @@ def test_nested_lists_objects_and_reserved_words_are_read():
         kind, "r/house/status/ingest/ingest", encoding_of(kind), json.dumps(status).encode()
     )
     assert found.drops == {"lost-items": 1} and found.lag_s is None and found.pace is None
+
+
+def test_the_shape_of_a_mode_is_read():
+    shape = {"channel": "floor-1", "value": [1.0, 0], "std": 0.0}
+    estimate = {
+        "frequency_hz": 3.9,
+        "frequency_std_hz": 0.004,
+        "damping": 0.01,
+        "damping_std": 0.001,
+        "shape": [shape],
+        "amplitude": 0.02,
+    }
+    mode = {
+        "structure": "house",
+        "mode": "bending",
+        "time_ns": 5,
+        "epoch_s": 600,
+        "epochs": 1,
+        "state": "tracked",
+        "partner": None,
+        "estimate": estimate,
+        "presence": 1,
+        "machine": False,
+        "declared_hz": 3.9,
+    }
+    kind = spandrel.Mode
+    key = "spandrel/house/mode/bending"
+    found = decode(kind, key, encoding_of(kind), json.dumps(mode).encode())
+    assert found.estimate.frequency_hz == 3.9
+    assert found.estimate.shape == (spandrel.ShapeValue("floor-1", (1.0, 0.0), 0.0),)
+    missing = json.dumps({**mode, "state": "missing", "estimate": None}).encode()
+    assert decode(kind, key, encoding_of(kind), missing).estimate is None

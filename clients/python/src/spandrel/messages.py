@@ -260,7 +260,7 @@ class ShapeValue:
 
     channel: str
     #: Real and imaginary part, relative to the channel with the largest amplitude.
-    value: List[float]
+    value: Tuple[float, ...]
     std: float
 
 
@@ -272,7 +272,7 @@ class ModeEstimate:
     frequency_std_hz: float
     damping: float
     damping_std: float
-    shape: List[ShapeValue]
+    shape: Tuple[ShapeValue, ...]
     #: Standard deviation of the channel with the largest amplitude, in the band of the mode.
     amplitude: float
 

@@ -308,7 +308,8 @@ async fn a_frequency_that_is_repeated_is_kept_once_with_its_deviation() {
         name: "bending".to_owned(),
     };
     let demo = name("demo");
-    let span = database.span(STRUCTURE, &demo, &series, &SpanQuery::default());
+    let query = SpanQuery::default();
+    let span = database.span(STRUCTURE, &demo, &series, &query);
     let span = span.await.unwrap();
     assert_eq!(span.kind, "mode");
     assert_eq!(span.rows.mean, [1.25; 4]);

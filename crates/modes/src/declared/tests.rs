@@ -122,12 +122,14 @@ fn a_lost_mode_is_found_again_and_nothing_is_stated_in_between() {
         pass(&mut one, &[mode(1.0, 0.6)]);
     }
     let mut events = Vec::new();
-    for _ in 0..5 {
+    for _ in 0..8 {
         events.extend(pass(&mut one, &[]));
     }
     assert_eq!(events, ["ModeLost first"]); // 2 of 7 epochs
+    assert!(pass(&mut one, &[mode(1.001, 0.6)]).is_empty()); // 3 of 11
     assert_eq!(states(&one), [ModeState::Lost]);
-    let events = pass(&mut one, &[mode(1.001, 0.6)]); // 3 of 8
+    assert_eq!(frequencies(&one), [None]);
+    let events = pass(&mut one, &[mode(1.001, 0.6)]); // 4 of 12
     assert_eq!(events, ["ModeFound first"]);
     assert_eq!(frequencies(&one), [Some(1.001)]);
 }
