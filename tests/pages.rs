@@ -85,6 +85,22 @@ fn the_highway_bridge_tutorial_works_as_printed() {
     assert_eq!(page.follow(here), 12);
 }
 
+#[test]
+fn the_earthquake_page_works_as_printed() {
+    let Some(records) = records_or_skip("painter-street-bridge") else {
+        return;
+    };
+    let page = Page::open("earthquakes.md");
+    page.have(&root().join("docs/examples/highway-bridge.toml"));
+    for archive in std::fs::read_dir(&records).unwrap() {
+        let path = archive.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "zip") {
+            page.have(&path);
+        }
+    }
+    assert_eq!(page.follow(here), 2);
+}
+
 /// Tests the subscriber of docs/topics.md. It queries the default address and therefore has its own
 /// network.
 #[test]

@@ -222,6 +222,7 @@ impl EventJudgement {
         let judged = self.lasting.iter();
         judged
             .filter_map(|candidate| Some((candidate.since, candidate.loss?)))
+            .rev() // the earliest of equal ones
             .max_by(|a, b| a.1.probability.total_cmp(&b.1.probability))
     }
 

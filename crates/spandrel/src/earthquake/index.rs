@@ -81,7 +81,7 @@ fn is_later(a: &Entry, b: &Entry) -> bool {
 pub fn html(entries: &[Entry]) -> String {
     let mut page = head("Earthquake reports");
     page += "<header>\n<p class=\"kicker\">Earthquake reports</p>\n<h1>Who needs an inspector first</h1>\n\
-             </header>\n<section>\n<table>\n<thead><tr><th scope=\"col\"></th>\
+             </header>\n<section>\n<table class=\"list\">\n<thead><tr><th scope=\"col\"></th>\
              <th scope=\"col\">structure</th><th scope=\"col\">latest event</th>\
              <th scope=\"col\">result</th><th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n\
              <tbody>\n";
@@ -90,7 +90,7 @@ pub fn html(entries: &[Entry]) -> String {
     }
     page += "</tbody>\n</table>\n<p class=\"note\">The latest report of each structure, the most urgent \
              first, then by the acceleration of the structure.</p>\n</section>\n\
-             <section>\n<h2>All events, the latest first</h2>\n<table>\n<thead><tr>\
+             <section>\n<h2>All events, the latest first</h2>\n<table class=\"list\">\n<thead><tr>\
              <th scope=\"col\"></th><th scope=\"col\">structure</th><th scope=\"col\">event</th>\
              <th scope=\"col\">result at that time</th>\
              <th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n<tbody>\n";

@@ -105,7 +105,13 @@ pub fn judged(report: &EventReport) -> Vec<String> {
             };
             sentences.push(text);
         }
-        for candidate in &parameter.judgement.lasting {
+        let judgement = &parameter.judgement;
+        let worst = judgement.raised().or_else(|| judgement.most_probable());
+        let is_told = |since: usize| {
+            since == judgement.event || worst.is_some_and(|(worst, _)| worst == since)
+        };
+        let told = judgement.lasting.iter();
+        for candidate in told.filter(|candidate| is_told(candidate.since)) {
             let (Some(loss), Some(since)) =
                 (&candidate.loss, parameter.events.get(candidate.since))
             else {
