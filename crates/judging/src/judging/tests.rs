@@ -166,7 +166,9 @@ fn every_state_and_course_can_be_a_message() {
         }
     }
     // On the first judged day, no step is possible yet, so the evidence of a loss is zero.
-    let course = judging.course(&name("pier"), &SpanQuery::default()).unwrap();
+    let course = judging
+        .course(&name("pier"), &SpanQuery::default())
+        .unwrap();
     course.check().unwrap();
     let first = course.rows.iter().find_map(|row| row.expectation);
     assert_eq!(first.unwrap().ln_evidence, -10.0);
