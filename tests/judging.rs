@@ -514,8 +514,8 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     };
     others.state_where("a change that was seen", is_seen).await;
 
-    // The bearings were replaced on day 50, which is past.
-    let from = ((FIRST_DAY + 50) * 86_400 + 43_200).to_string();
+    // The bearings were replaced on day 60, which is past.
+    let from = ((FIRST_DAY + 60) * 86_400 + 43_200).to_string();
     let new = ["repair", "new bearings", "--new-reference", "--from", &from];
     others.annotate(&new);
     let is_new = |display: &JudgementDisplay| {
@@ -524,8 +524,8 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     others.state_where("a new reference", is_new).await;
     let course = others.course("").await;
     assert_eq!(course.annotations.len(), 2);
-    assert!(course.rows[49].change.is_some());
-    assert_eq!((course.rows[50].change, course.rows[50].epochs), (None, 2));
+    assert!(course.rows[59].change.is_some());
+    assert_eq!((course.rows[60].change, course.rows[60].epochs), (None, 2));
     assert_eq!(course.csv(), others.offline_course());
 
     judge.kill();

@@ -13,11 +13,6 @@ export function noon(day_ns) {
   return day_ns / 1e9 + NOON_S;
 }
 
-/** Returns whether the day is one after the most probable first day of a change. */
-function isChanged({ day_ns, change }) {
-  return change !== null && change !== undefined && day_ns >= change.since_ns;
-}
-
 /** Fetches the course of one quantity in the span of its plots. */
 export class CoursePoints {
   #answer = null;
@@ -81,14 +76,18 @@ export class CoursePoints {
 
 /** Returns an answer with its rows by time and their kinds. */
 function prepared(answer) {
-  const rows = answer.rows.map((row) => ({ ...row, time: noon(row.day_ns), kind: kindOf(row) }));
+  const change = answer.rows.at(-1)?.change ?? null;
+  const rows = answer.rows.map((row) => ({ ...row, time: noon(row.day_ns), kind: kindOf(row, change) }));
   return { ...answer, rows, byTime: new Map(rows.map((row) => [row.time, row])) };
 }
 
-/** Returns how a day is drawn: learning, outside, changed, judged, or null without a value. */
-function kindOf(row) {
+/**
+ * Returns how a day is drawn: learning, outside, changed (since the most probable first day of the
+ * present change), judged, or null without a value.
+ */
+function kindOf(row, change) {
   if (row.measured === null) return null;
   if (!row.expectation) return "learning";
   if (row.state === "outside-experience") return "outside";
-  return isChanged(row) ? "changed" : "judged";
+  return change !== null && row.day_ns >= change.since_ns ? "changed" : "judged";
 }

@@ -248,7 +248,7 @@ export class Plot {
       axes: [
         across
           ? { ...axis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(compact), label: across, labelSize: 18 }
-          : { ...axis, space: isNarrow ? 70 : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
+          : { ...axis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
         { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],

@@ -15,6 +15,9 @@ use std::collections::VecDeque;
 const DAY_NS: i64 = 86_400_000_000_000;
 /// Level of the intervals of the judgement.
 const LEVEL: f64 = 0.95;
+/// Lowest ln of the evidence that is stated. Before the first possible step the evidence is zero, and
+/// its logarithm is no number of a message.
+pub const LEAST_LN_EVIDENCE: f64 = -10.0;
 /// Maximum number of days of a quantity, about 27 years. Beyond it, the oldest day is dropped.
 const MOST_DAYS: usize = 10_000;
 
@@ -180,7 +183,7 @@ pub(crate) fn expectation(of_day: &Expectation) -> DayExpectation {
         expected,
         interval: credible(interval),
         residual,
-        ln_evidence,
+        ln_evidence: ln_evidence.max(LEAST_LN_EVIDENCE),
         ln_threshold,
         cusum_share,
     }

@@ -33,7 +33,7 @@ mod service;
 mod testing;
 
 pub use annotations::read as read_annotations;
-pub use course::course_row;
+pub use course::{LEAST_LN_EVIDENCE, course_row};
 pub use error::JudgingError;
 pub use judging::new_reference;
 pub use service::{JudgePlanned, JudgeService};

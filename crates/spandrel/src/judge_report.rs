@@ -4,9 +4,9 @@ use jiff::civil::Date;
 use serde_json::json;
 use spandrel_bus::CourseRow;
 use spandrel_judge::{
-    Delay, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State,
+    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State,
 };
-use spandrel_judging::course_row;
+use spandrel_judging::{LEAST_LN_EVIDENCE, course_row};
 use std::fmt::{self, Write as _};
 
 /// A judgement with its structure and date.
@@ -34,6 +34,10 @@ impl<'j> DayLine<'j> {
             finding,
             raised,
         } = self.judgement;
+        let expectation = expectation.map(|of_day| Expectation {
+            ln_evidence: of_day.ln_evidence.max(LEAST_LN_EVIDENCE),
+            ..of_day
+        });
         let finding = finding.map(|finding| {
             let change = finding.change();
             json!({

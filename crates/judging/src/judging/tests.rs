@@ -154,3 +154,22 @@ fn annotations_of_others_are_not_known() {
         assert!(!judging.knows(&other), "{other:?}");
     }
 }
+
+#[test]
+fn every_state_and_course_can_be_a_message() {
+    use spandrel_bus::Message as _;
+    let mut judging = judging();
+    for day in 0..60 {
+        run(&mut judging, day..day + 1, 1.0);
+        for display in judging.displays(0) {
+            display.check().unwrap();
+        }
+    }
+    // On the first judged day, no step is possible yet, so the evidence of a loss is zero.
+    let course = judging
+        .course(&name("pier"), &SpanQuery::default())
+        .unwrap();
+    course.check().unwrap();
+    let first = course.rows.iter().find_map(|row| row.expectation);
+    assert_eq!(first.unwrap().ln_evidence, -10.0);
+}

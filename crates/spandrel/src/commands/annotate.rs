@@ -103,7 +103,7 @@ fn annotation(arguments: &AnnotateArguments, now_ns: i64) -> Result<Annotation, 
 }
 
 /// Waits for a message of judge for which `is_it` returns `true`.
-async fn heard<M: Message>(
+async fn heard<M: Message + Send + 'static>(
     messages: &Subscription<M>,
     is_it: impl Fn(&M) -> bool,
 ) -> Result<(), AppError> {
