@@ -91,8 +91,8 @@ mod tests {
         let now = compare(&earlier, &softened(0.8, -0.64)).unwrap();
         assert!(now.is_as_expected, "{now:?}");
         // Σh²/v = 1.25/0.0725, and the prior shrinks the slope of 0.8 accordingly.
-        let information = 1.25 / 0.0725;
-        let expected = -0.64 * information / (1.0 + information);
+        let information: f64 = 1.25 / 0.0725;
+        let expected: f64 = -0.64 * information / (1.0 + information);
         assert!((now.change - expected.exp_m1()).abs() < 1e-9);
     }
 

@@ -414,7 +414,11 @@ impl Sequence {
         let mut from = 0;
         let mut candidates = Vec::new();
         for since in 0..self.events.len() {
-            if !self.events[since].has_shaking && !self.is_softer[since] {
+            // One weak event alone may be an outlier.
+            let later = || self.events[since + 1..].iter();
+            let is_confirmed = || later().any(|event| event.weak().is_some());
+            let is_softer = self.is_softer[since] && is_confirmed();
+            if !self.events[since].has_shaking && !is_softer {
                 continue;
             }
             let candidate = self.candidate(from, since);

@@ -182,7 +182,7 @@ fn simulated_sequences_have_the_stated_coverage_and_rate_of_false_alarms() {
     const RUNS: u32 = 4000;
     let mut random = ChaCha8Rng::seed_from_u64(21);
     for (true_loss, before, after) in [(0.0, 8, 1), (0.0, 8, 6), (0.2, 8, 6), (0.2, 5, 2)] {
-        let (mut inside, mut raised) = (0_u32, 0_u32);
+        let (mut inside, mut raised, mut any, mut unjudged) = (0_u32, 0_u32, 0_u32, 0_u32);
         let delta = f64::ln(1.0 - true_loss);
         for _ in 0..RUNS {
             let mut sequence = Sequence::new(SETTINGS).unwrap();
@@ -193,11 +193,19 @@ fn simulated_sequences_have_the_stated_coverage_and_rate_of_false_alarms() {
             for _ in 1..after {
                 last = sequence.push(weak(scattered(&mut random, delta)));
             }
-            let loss = last.lasting[0].loss.unwrap();
+            // An earlier outlier may have started a new reference, rarely.
+            let own = last.lasting.iter().find(|one| one.since == before);
+            let Some(loss) = own.and_then(|one| one.loss) else {
+                unjudged += 1;
+                continue;
+            };
+            any += u32::from(last.raised().is_some());
             inside += u32::from(loss.interval.contains(true_loss));
             raised += u32::from(loss.is_raised);
         }
-        let coverage = f64::from(inside) / f64::from(RUNS);
+        println!("{true_loss} {before} {after}: {inside} {raised} {any} {unjudged}");
+        assert!(unjudged < RUNS / 20, "{unjudged}");
+        let coverage = f64::from(inside) / f64::from(RUNS - unjudged);
         // Three standard deviations of the share below 0.95; wider is on the safe side.
         assert!(
             coverage > 0.94,
@@ -225,7 +233,9 @@ fn interval_for_the_structure_covers_further_events() {
         }
         let y = scattered(&mut random, 0.0);
         let state = sequence.push(weak(y)).weak.unwrap();
-        wide += u32::from(state.predicted.unwrap().contains(y.exp()));
+        // Without a prediction, a false loss has started a new reference.
+        let predicted = state.predicted;
+        wide += u32::from(predicted.is_some_and(|interval| interval.contains(y.exp())));
         narrow += u32::from(state.within.contains(1.0));
     }
     let share = |count: u32| f64::from(count) / f64::from(RUNS);
