@@ -400,6 +400,32 @@ fn mistakes_are_named_with_their_file_and_exit_code_2() {
         let stderr = text(&output.stderr);
         assert!(told.iter().all(|part| stderr.contains(part)), "{stderr}");
     }
+    // Without a date, a recording cannot be sorted among those with dates.
+    let records = [
+        (1_600_000_000, "later"),
+        (1_500_000_000, "earlier"),
+        (0, "undated"),
+    ];
+    let records = records.map(|(start_s, name)| {
+        let path = folder.path().join(format!("{name}.csv"));
+        let mut table = "time,ground,floor-1,floor-2,floor-3\n".to_owned();
+        for frame in 0..200 {
+            let time_s = f64::from(start_s) + f64::from(frame) / RATE_HZ;
+            table += &format!("{time_s:.2},0.0,0.0,0.0,0.0\n");
+        }
+        std::fs::write(&path, table).unwrap();
+        path
+    });
+    let output = earthquake(&structure, &records, &folder.path().join("reports"));
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    for part in [
+        "later.csv (starts at 2020-",
+        "earlier.csv (starts at 2017-",
+        "undated.csv has no date",
+    ] {
+        assert!(stderr.contains(part), "{part}: {stderr}");
+    }
     assert!(
         !folder.path().join("reports").exists(),
         "nothing is written without a report"

@@ -494,6 +494,24 @@ pub enum AppError {
         /// Name of the report.
         event: String,
     },
+    /// Recordings with dates are not in the order of time, and cannot be sorted.
+    #[error(
+        "{} (starts at {later}) precedes {} (starts at {earlier}), and {} has no date; \
+         give all recordings in the order of time",
+        first.display(), second.display(), undated.display()
+    )]
+    NotInOrder {
+        /// Path of the recording that precedes.
+        first: PathBuf,
+        /// Its start.
+        later: String,
+        /// Path of the recording that follows.
+        second: PathBuf,
+        /// Its start.
+        earlier: String,
+        /// Path of a recording without a date.
+        undated: PathBuf,
+    },
     /// Some recordings could not be read. The others are reported.
     #[error("{count} of {} recordings cannot be reported; the first:", count + reported)]
     NotReported {
@@ -553,6 +571,7 @@ impl AppError {
             | Self::Earthquake(_)
             | Self::NoAccelerations { .. }
             | Self::SameEvent { .. }
+            | Self::NotInOrder { .. }
             | Self::NotReported { .. }
             | Self::Modal { .. }
             | Self::UnknownChannel { .. }

@@ -50,9 +50,10 @@ pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
             Err(error) => failed.push(error),
         }
     }
-    // Recordings without dates keep the order of the command line.
-    if records.iter().all(EventRecord::is_dated) {
-        records.sort_by_key(|record| record.start_ns);
+    match records.iter().find(|record| !record.is_dated()) {
+        None => records.sort_by_key(|record| record.start_ns),
+        // Nothing is known of where it belongs, so the order of the command line counts.
+        Some(undated) => check_order(&records, undated)?,
     }
     let names: Vec<EventName> = records
         .iter()
@@ -100,6 +101,23 @@ pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
             source: Box::new(failed.swap_remove(0)),
         }),
     }
+}
+
+/// Checks that the recordings with dates are in the order of time.
+fn check_order(records: &[EventRecord], undated: &EventRecord) -> Result<(), AppError> {
+    let dated: Vec<&EventRecord> = records.iter().filter(|record| record.is_dated()).collect();
+    let wrong = dated
+        .windows(2)
+        .find(|two| two[0].start_ns > two[1].start_ns);
+    wrong.map_or(Ok(()), |two| {
+        Err(AppError::NotInOrder {
+            first: two[0].path.clone(),
+            later: two[0].date().unwrap_or_default(),
+            second: two[1].path.clone(),
+            earlier: two[1].date().unwrap_or_default(),
+            undated: undated.path.clone(),
+        })
+    })
 }
 
 /// The events of a structure, one after the other.

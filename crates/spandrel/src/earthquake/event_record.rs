@@ -1,6 +1,7 @@
 //! A recording of an earthquake, as the structure file describes it.
 
 use crate::error::AppError;
+use jiff::Timestamp;
 use serde::Serialize;
 use spandrel_bus::is_without_date;
 use spandrel_earthquake::{
@@ -104,6 +105,14 @@ impl EventRecord {
     /// Returns `true` if the times of the recording are dates.
     pub fn is_dated(&self) -> bool {
         !is_without_date(self.start_ns)
+    }
+
+    /// Returns the date and time of the first sample (UTC). `None` if the recording has no dates.
+    pub fn date(&self) -> Option<String> {
+        self.is_dated().then(|| {
+            let time = Timestamp::from_nanosecond(self.start_ns.into()).unwrap_or_default();
+            time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
+        })
     }
 
     /// Returns the length (s).

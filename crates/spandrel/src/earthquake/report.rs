@@ -73,10 +73,7 @@ impl EventName {
     pub fn new(structure: &Structure, record: &EventRecord) -> Self {
         let file = record.path.file_name().unwrap_or(record.path.as_os_str());
         let file = file.to_string_lossy().into_owned();
-        let start = record.is_dated().then(|| {
-            let time = Timestamp::from_nanosecond(record.start_ns.into()).unwrap_or_default();
-            time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
-        });
+        let start = record.date();
         let name = match &start {
             Some(start) => start.replace(':', "-"),
             None => {
