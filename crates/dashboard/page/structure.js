@@ -23,6 +23,8 @@ const AROUND_S = 60;
 export class StructurePage {
   #standing = null;
   #isOpen = true;
+  /** Address of what is shown. */
+  #shown = null;
   #leave = [];
 
   constructor(connection, name, tab, parameters) {
@@ -121,6 +123,7 @@ export class StructurePage {
     if (key === this.tab) return;
     this.#showTab(key);
     history.pushState(null, "", this.#address());
+    this.#shown = location.hash;
   }
 
   /** Shows a tab. The points of the former tab are dropped, so that hidden plots take no work. */
@@ -139,9 +142,14 @@ export class StructurePage {
     return addressOf({ structure: this.name, tab: this.tab, parameter: this.#current?.chosen, span: this.#current?.span ?? this.span, isOwnScale: !this.scale.isCommon });
   }
 
-  /** Keeps the address in step with what is shown, so that a reload shows the same. */
+  /**
+   * Keeps the address in step with what is shown, so that a reload shows the same. If a link has just
+   * changed the address, its event is yet to come, and the address stays.
+   */
   #remember() {
-    if (this.about && this.#isOpen) history.replaceState(null, "", this.#address());
+    if (!this.about || !this.#isOpen || location.hash !== this.#shown) return;
+    history.replaceState(null, "", this.#address());
+    this.#shown = location.hash;
   }
 
   #attend(overview) {
@@ -213,6 +221,7 @@ export class StructurePage {
 
   /** Shows the tab, the parameter and the moment in the address. */
   #goto(tab, parameters) {
+    this.#shown = location.hash;
     const parameter = parameters.get("parameter");
     this.scale.isCommon = parameters.get("scale") !== "own";
     const isThere = this.tabs.some(({ key }) => key === tab);

@@ -104,7 +104,7 @@ impl Pooled {
     /// Returns the degrees of freedom K − 2. `None` with fewer than [`FEWEST_EVENTS`] events.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> Option<f64> {
-        (self.events >= FEWEST_EVENTS).then(|| self.events as f64 - 2.0)
+        (self.events >= FEWEST_EVENTS).then_some(self.events as f64 - 2.0)
     }
 
     /// Returns the deviation between a further event of standard deviation `std` and the mean:

@@ -217,9 +217,8 @@ fn an_epoch_of_another_mode_does_not_change_its_day() {
         epoch.quantities[0] = epoch.quantities[0].map(|value| 0.9 * value);
     }
     let (_, found) = judge(settings(&["f1"], &["deck"], 100), &confused);
-    let measured = |judgements: &[Judgement]| {
-        judgements.last().unwrap().expectation.unwrap().measured
-    };
+    let measured =
+        |judgements: &[Judgement]| judgements.last().unwrap().expectation.unwrap().measured;
     assert!((measured(&found) / measured(&expected) - 1.0).abs() < 0.002);
     assert!(first_alarm(&found).is_none());
 }

@@ -7,10 +7,10 @@
 //! The file is a series that `spandrel judge --series` reads. After a restart, the service reads it
 //! with the same reader, so both give the same judgements, bit for bit.
 //!
-//! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
 //! The service takes annotations of people. One with a new reference makes the judge forget what it
 //! has learnt before. Annotations are in a file beside the epochs.
 //!
+//! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
 //! - [`course_row`]: a judgement as a row of the course of its quantity
 //! - `judging`: closed epochs in, judgements and events out
 //! - `epoch_log`, `annotations`: the files of the epochs and of the annotations

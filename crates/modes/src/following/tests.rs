@@ -33,11 +33,13 @@ fn run(
 }
 
 fn displays(outputs: &[ModesOutput]) -> Vec<&ModeDisplay> {
-    let display = |output| match output {
-        &ModesOutput::Mode(ref display) => Some(display.as_ref()),
-        ModesOutput::Event(_) => None,
-    };
-    outputs.iter().filter_map(display).collect()
+    let mut displays = Vec::new();
+    for output in outputs {
+        if let ModesOutput::Mode(display) = output {
+            displays.push(display.as_ref());
+        }
+    }
+    displays
 }
 
 #[test]

@@ -147,7 +147,8 @@ impl Browser {
         let complaint = match message["method"].as_str() {
             Some("Runtime.exceptionThrown") => parameters["exceptionDetails"].to_string(),
             Some("Log.entryAdded") if parameters["entry"]["level"] == "error" => {
-                parameters["entry"]["text"].to_string()
+                let entry = &parameters["entry"];
+                format!("{} {}", entry["text"], entry["url"])
             }
             Some("Page.loadEventFired") => {
                 self.loads += 1;

@@ -82,13 +82,13 @@ async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
     the_first_quantity_has_lost_stiffness(&mut browser).await;
     another_quantity_has_its_own_address(&mut browser).await;
     the_plots_are_zoomed_and_read_by_keyboard(&mut browser).await;
-    the_days_are_served_as_csv(&mut browser).await;
     a_phone_shows_the_year_without_scrolling_aside(&mut browser).await;
     assert_eq!(
         browser.complaints(),
         Vec::<String>::new(),
         "the page complained"
     );
+    the_days_are_served_as_csv(&mut browser).await;
 }
 
 /// Returns an expression: the text above a plot, which states the day at the crosshair.
@@ -102,7 +102,7 @@ const PANEL: &str = "document.getElementById('panel-lasting').innerText";
 async fn the_present_state_leads_to_the_year(browser: &mut Browser) {
     let list = "document.getElementById('judgements')";
     let lost = format!(
-        "/▲ lasting-loss: storey-1 has lost .* Found on 2025-1.-.. Last epoch 2025-11-22/.test({list}.textContent)"
+        "/▲ lasting-loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch 2025-11-22/.test({list}.textContent)"
     );
     browser
         .wait("the state among the present ones", &lost)
