@@ -395,7 +395,11 @@ fn mistakes_are_named_with_their_file_and_exit_code_2() {
         (&record, &["event.csv", "floor-2"][..]),
         (&missing, &["missing.csv", "No such file"]),
     ] {
-        let output = earthquake(&structure, &[path.clone()], &folder.path().join("reports"));
+        let output = earthquake(
+            &structure,
+            std::slice::from_ref(path),
+            &folder.path().join("reports"),
+        );
         assert_eq!(output.status.code(), Some(2));
         let stderr = text(&output.stderr);
         assert!(told.iter().all(|part| stderr.contains(part)), "{stderr}");

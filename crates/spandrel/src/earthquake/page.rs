@@ -290,10 +290,10 @@ fn comparison(parameter: &super::report::ParameterReport) -> String {
     }
     text += "</tbody>\n</table>\n";
     if let Some(share) = parameter.coverage.share() {
-        let _ = write!(
+        let _ = writeln!(
             text,
             "<p class=\"note\">Leave one event out: {} of {} events ({}) lie in the 95 % interval that \
-             the others predict.</p>\n",
+             the others predict.</p>",
             parameter.coverage.inside,
             parameter.coverage.events,
             percent(share)
