@@ -101,7 +101,7 @@ fn bridge_in_21_earthquakes_softens_three_times_and_raises_no_loss_before_decemb
         return;
     };
     let folder = tempfile::tempdir().unwrap();
-    let structure = root().join("docs/examples/highway-bridge.toml");
+    let structure = root().join("docs/examples/earthquake/highway-bridge.toml");
     // In the order of time: several of the archives have no date that Spandrel reads.
     let paths: Vec<PathBuf> = BRIDGE
         .iter()

@@ -25,7 +25,7 @@ const RECORD_S: f64 = 410.0;
 
 /// Returns the site of the example, with short epochs. The mode `far` does not exist.
 fn ambient() -> Site {
-    let text = include_str!("../docs/examples/ambient.toml");
+    let text = include_str!("../docs/examples/modes/ambient.toml");
     let short = text.replace("epoch-s = 300", &format!("epoch-s = {EPOCH_S}"));
     assert_ne!(text, short);
     let mode = "\n[[modal.mode]]\nname = \"far\"\nfrequency-hz = 8.5\n";
@@ -205,7 +205,7 @@ fn the_declared_tables_follow_the_same_modes() {
         tables.starts_with("[modal]\nepoch-s = 100\nband-hz = [0.3, 10]\n"),
         "{tables}"
     );
-    let text = include_str!("../docs/examples/ambient.toml");
+    let text = include_str!("../docs/examples/modes/ambient.toml");
     let (before, rest) = text.split_once("[modal]").unwrap();
     let (_, after) = rest.split_once("[simulation]").unwrap();
     let declared = Site::with(&format!("{before}{tables}\n[simulation]{after}"));

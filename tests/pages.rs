@@ -91,7 +91,7 @@ fn the_earthquake_page_works_as_printed() {
         return;
     };
     let page = Page::open("earthquakes.md");
-    page.have(&root().join("docs/examples/highway-bridge.toml"));
+    page.have(&root().join("docs/examples/earthquake/highway-bridge.toml"));
     for archive in std::fs::read_dir(&records).unwrap() {
         let path = archive.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "zip") {

@@ -811,7 +811,7 @@ pub struct ModesArguments {
     /// Structure file, for the columns, units and sampling rate of its channels [default: all
     /// channels of the recording].
     ///
-    /// Its table [modal] applies, unless an option chooses channels, references, epoch, band or
+    /// Its modal table applies, unless an option chooses channels, references, epoch, band or
     /// order.
     #[arg(long, value_name = "STRUCTURE.toml", conflicts_with_all = ["rate", "time_column", "time_unit"])]
     pub structure: Option<PathBuf>,
@@ -844,7 +844,7 @@ pub struct ModesArguments {
     /// Output file for the modes of each epoch, one row per epoch and mode.
     #[arg(long, value_name = "MODES.csv")]
     pub csv: Option<PathBuf>,
-    /// Print the tables [modal] and [[modal.mode]] for a structure file.
+    /// Print the modal tables for a structure file.
     #[arg(long, conflicts_with = "json")]
     pub declare: bool,
     #[command(flatten)]

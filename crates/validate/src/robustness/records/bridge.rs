@@ -12,7 +12,8 @@ use spandrel_alert::{Baseline, BetweenRecords};
 use spandrel_structure::Structure;
 use std::path::Path;
 
-pub(super) const FILE: &str = include_str!("../../../../../docs/examples/highway-bridge.toml");
+pub(super) const FILE: &str =
+    include_str!("../../../../../docs/examples/earthquake/highway-bridge.toml");
 
 /// Deck acceleration above which the bridge counts as moving (m/s²), three times the stated noise.
 pub(super) const MOTION: f64 = 0.06;
