@@ -23,6 +23,9 @@ pub const MACHINE_DAMPING: f64 = 0.001;
 const LARGEST_DEVIATION: f64 = 0.05;
 /// Number of poles of a cluster whose deviations are compared.
 const COMPARED: usize = 5;
+/// Least ratio of the damping ratio of a certain mode to its standard deviation. In simulations, most
+/// modes below it do not exist.
+pub const CERTAIN_DAMPING: f64 = 2.0;
 /// Spectral kurtosis below which a line of the spectrum is a sine: halfway from 0 (random motion)
 /// to −1 (a sine).
 pub const MACHINE_KURTOSIS: f64 = -0.5;

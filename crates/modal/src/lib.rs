@@ -64,7 +64,8 @@ pub use covariance::EpochCovariances;
 pub use epoch_stream::{EpochStream, LONGEST_GAP_S};
 pub use error::ModalError;
 pub use identify::{
-    HIGHEST_DAMPING, Identified, MACHINE_DAMPING, MACHINE_KURTOSIS, Mode, Source, identify,
+    CERTAIN_DAMPING, HIGHEST_DAMPING, Identified, MACHINE_DAMPING, MACHINE_KURTOSIS, Mode, Source,
+    identify,
 };
 pub use ladder::{BandLadder, LadderEpoch, LadderModes, highest_band_end_hz};
 pub use law::{Uncertainty, smallest_uncertainty};

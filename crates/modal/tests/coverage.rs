@@ -22,7 +22,7 @@ use oscillator::exact_step;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use spandrel_modal::{ModalSettings, ModalStream, Mode, Source, identify};
+use spandrel_modal::{CERTAIN_DAMPING, ModalSettings, ModalStream, Mode, Source, identify};
 use std::f64::consts::TAU;
 
 const RATE_HZ: f64 = 20.0;
@@ -31,8 +31,6 @@ const SUBSTEPS: usize = 4;
 const CHANNELS: usize = 4;
 /// Half the width of a 95 % interval, in standard deviations.
 const QUANTILE: f64 = 1.96;
-/// Least ratio of the damping ratio of a listed mode to its standard deviation.
-const CERTAIN: f64 = 2.0;
 /// Largest distance of a mode from the truth that it can belong to, relative to the frequency.
 const NEAR: f64 = 0.04;
 
@@ -180,7 +178,7 @@ struct Result {
 }
 
 fn is_listed(mode: &&Mode) -> bool {
-    mode.damping > CERTAIN * mode.damping_std
+    mode.damping > CERTAIN_DAMPING * mode.damping_std
 }
 
 fn epochs(scene: &Scene, seeds: u64) -> Result {

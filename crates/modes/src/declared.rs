@@ -9,8 +9,8 @@ use crate::error::ModesError;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{Event, EventKind, ModeDisplay, ModeEstimate, ModeState, Name, ShapeValue};
 use spandrel_modal::{
-    Assignment, LEAST_PRESENCE, LOST_AFTER, LadderEpoch, LadderModes, Mode, ModeId,
-    PRESENCE_WINDOW, SAME_MACHINE, Source, TrackEvent, Tracker,
+    Assignment, CERTAIN_DAMPING, LEAST_PRESENCE, LOST_AFTER, LadderEpoch, LadderModes, Mode,
+    ModeId, PRESENCE_WINDOW, SAME_MACHINE, Source, TrackEvent, Tracker,
 };
 use spandrel_structure::{DeclaredMode, ModalPlan};
 use std::collections::VecDeque;
@@ -466,9 +466,9 @@ impl Seen<'_> {
     }
 }
 
-/// Returns `true` if a mode probably exists. Of those with a smaller damping ratio, most do not.
+/// Returns `true` if a mode probably exists, as in the table of a recording.
 fn is_certain(mode: &Mode) -> bool {
-    mode.source == Source::Mode && mode.damping > mode.damping_std
+    mode.source == Source::Mode && mode.damping > CERTAIN_DAMPING * mode.damping_std
 }
 
 /// Returns a mode for its message, or `None` if a number is not possible.

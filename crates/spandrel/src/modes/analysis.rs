@@ -5,15 +5,11 @@ use crate::error::AppError;
 use serde::Serialize;
 use spandrel_bus::{Name, TimeGrid};
 use spandrel_modal::{
-    BandLadder, ChannelUse, EpochStream, LadderEpoch, ModalError, ModalSettings, ModeSummary,
-    RecordModes, Source,
+    BandLadder, CERTAIN_DAMPING, ChannelUse, EpochStream, LadderEpoch, ModalError, ModalSettings,
+    ModeSummary, RecordModes, Source,
 };
 use spandrel_modes::{DeclaredModes, EpochOver, ModesOutput};
 use spandrel_structure::{ModalPlan, Structure};
-
-/// Least ratio of the damping ratio of a listed mode to its standard deviation. In simulations, the
-/// modes below it were mostly false.
-const CERTAIN: f64 = 2.0;
 
 /// What the user has chosen.
 #[derive(Debug, Clone, Default)]
@@ -49,8 +45,8 @@ pub struct Analysis {
     pub record: RecordModes,
     /// Modes and machines of the recording.
     pub modes: Vec<ModeSummary>,
-    /// Number of modes that are not among `modes`, because their damping ratio is smaller than its
-    /// standard deviation. Most of these do not exist.
+    /// Number of modes that are not among `modes`, because their damping ratio is less than
+    /// [`CERTAIN_DAMPING`] standard deviations. Most of these do not exist.
     pub uncertain: usize,
     /// What the service `modes` would publish: the declared modes after each epoch, and events.
     pub declared: Vec<ModesOutput>,
@@ -153,7 +149,7 @@ fn identify(
         });
     }
     let is_certain = |mode: &ModeSummary| {
-        mode.source == Source::Machine || mode.damping > CERTAIN * mode.damping_std
+        mode.source == Source::Machine || mode.damping > CERTAIN_DAMPING * mode.damping_std
     };
     let (modes, uncertain): (Vec<_>, Vec<_>) = record.summary().into_iter().partition(is_certain);
     Ok(Analysis {
