@@ -2,17 +2,9 @@
 //! `spandrel site` writes.
 //!
 //! The test compares its results with the table of docs/access.md. To rewrite the table, run
-//! `UPDATE_DOCS=1 cargo test --workspace --test access`.
+//! `UPDATE_DOCS=1 cargo test --workspace --test program access::`.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Process, Secured, five_storeys, within};
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair, date_time_ymd};
 use spandrel_access::{Party, Right, is_of_node, rights};
 use spandrel_bus::{AlertMessage, AlertState, Bus, BusError, KeyFamily, Name, Status, TlsConfig};
@@ -21,7 +13,6 @@ use std::fmt::Write as _;
 use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::time::Duration;
-use support::{DEADLINE, Process, Secured, five_storeys, within};
 use zenoh::Session;
 use zenoh::sample::{Sample, SampleKind};
 
@@ -867,7 +858,7 @@ fn site_commands_list_the_written_files_and_do_not_overwrite_them() {
     let folder = site.folder();
     let structure = five_storeys();
     let run = |arguments: &[&str]| {
-        let mut command = support::spandrel("site");
+        let mut command = crate::support::spandrel("site");
         Process::start(command.arg(arguments[0]).arg(&folder).args(&arguments[1..])).wait()
     };
     let issued = run(&["issue", "worker", "east", "--days", "30"])
@@ -918,7 +909,7 @@ fn a_router_file_that_admits_strangers_is_rejected() {
     let file = folder.path().join("router.json5");
     let run = |text: &str| {
         std::fs::write(&file, text).unwrap();
-        Process::start(support::spandrel("router").arg(&file)).wait()
+        Process::start(crate::support::spandrel("router").arg(&file)).wait()
     };
     let quiet = "scouting: { multicast: { enabled: false } }";
     run(&format!("{{ {quiet} }}"))
@@ -948,7 +939,8 @@ fn a_router_file_that_admits_strangers_is_rejected() {
     ))
     .expect_code(2)
     .expect_told(&["/nowhere/r.pem"]);
-    let nowhere = Process::start(support::spandrel("router").arg("/nowhere/router.json5")).wait();
+    let nowhere =
+        Process::start(crate::support::spandrel("router").arg("/nowhere/router.json5")).wait();
     nowhere
         .expect_code(2)
         .expect_told(&["/nowhere/router.json5"]);
@@ -958,7 +950,7 @@ fn a_router_file_that_admits_strangers_is_rejected() {
 fn services_refuse_to_listen_beyond_this_machine_without_certificates() {
     let run = |arguments: &[&str]| {
         Process::start(
-            support::spandrel("ingest")
+            crate::support::spandrel("ingest")
                 .arg(five_storeys())
                 .args(arguments),
         )
@@ -1001,13 +993,13 @@ fn certificates_can_be_set_in_the_configuration() {
     );
     std::fs::write(&file, text).unwrap();
     let ingest = Process::start(
-        support::spandrel("ingest")
+        crate::support::spandrel("ingest")
             .args(["-v", "--config"])
             .arg(&file),
     );
     ingest.wait_for_log("ready structures=1");
     ingest.stop().expect_code(0);
-    let elsewhere = support::spandrel("ingest")
+    let elsewhere = crate::support::spandrel("ingest")
         .args(["-v", "--config"])
         .arg(&file)
         .env("SPANDREL_BUS__TLS__CERTIFICATE", "/nowhere/worker.main.pem")
@@ -1051,7 +1043,7 @@ async fn messages_that_one_router_forbids_do_not_reach_another() {
         ],
     );
     let _router = site.router();
-    let other = Process::start(support::spandrel("router").arg(&file).arg("-v"));
+    let other = Process::start(crate::support::spandrel("router").arg(&file).arg("-v"));
     other.wait_for_log("ready");
 
     let worker = site.join("worker.main").await;

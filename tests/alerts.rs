@@ -1,16 +1,7 @@
 //! The life of an alert through the services, from the damage to the acknowledgement.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Process, Record, Site, put_raw, spandrel, two_storeys, within};
 use spandrel_bus::{AlertMessage, AlertState, Bus, Name, Subscription, UndecidedBecause};
-use support::{DEADLINE, Process, Record, Site, put_raw, spandrel, two_storeys, within};
 
 /// Damage of storey 2 at 20 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\

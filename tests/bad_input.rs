@@ -1,20 +1,13 @@
 //! Error messages and exit codes of the command line for bad input: 2 for files and usage, 1 for
 //! all other errors.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    Finished, Process, Record, Site, free_endpoint, spandrel, storeys, two_storeys,
+};
 use std::io::Write;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use support::{Finished, Process, Record, Site, free_endpoint, spandrel, storeys, two_storeys};
 use tempfile::TempDir;
 
 const BAD_INPUT: i32 = 2;

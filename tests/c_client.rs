@@ -3,19 +3,10 @@
 //! The test needs CMake, a C compiler, and the folder of zenoh-pico in `ZENOH_PICO`: its sources, or
 //! the folder in which it is installed.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Process, Site, skip, two_storeys, within, zenoh_pico_or_skip};
 use spandrel_bus::{Delivery, FrameBlock, Start, StreamSettings};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use support::{Process, Site, skip, two_storeys, within, zenoh_pico_or_skip};
 
 /// Blocks of 50 samples that the node publishes.
 const BLOCKS: usize = 4;

@@ -5,19 +5,10 @@
 //! damages at 12 s and 32 s, and a shortened form of the chain of hysteretic springs of section
 //! 5.6.2.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{EstimateReader, Site, assert_same_bits, within};
 use spandrel_bus::{AlertMessage, AlertState, Event, EventKind, ModelClassDisplay};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use support::{EstimateReader, Site, assert_same_bits, within};
 
 fn example(name: &str) -> String {
     let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -3,21 +3,12 @@
 //! The estimates are compared bit for bit with those of a record that contains the effect of the
 //! clocks.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    Drops, EstimateReader, Process, Record, Sensors, Site, assert_same_bits, two_storeys, within,
+};
 use spandrel_bus::{Bus, Keys, SampleBlock, Service};
 use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
 use std::collections::BTreeMap;
-use support::{
-    Drops, EstimateReader, Process, Record, Sensors, Site, assert_same_bits, two_storeys, within,
-};
 
 const ROWS: usize = 800;
 /// Row at which clocks are set.

@@ -1,14 +1,6 @@
 //! Temperatures and other conditions: from the instrument to the history, the page and the metrics.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, HOUSE, Process, Site, within};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
@@ -22,7 +14,6 @@ use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use support::{DEADLINE, HOUSE, Process, Site, within};
 
 const SECOND_NS: i64 = 1_000_000_000;
 /// A temperature that is expected every hour.
@@ -337,7 +328,7 @@ fn a_check_shows_the_last_temperature_of_a_source() {
     let source = "kind = \"file\"\npath = \"log.csv\"\nfrom = \"start\"\nformat = \"csv\"\n\
                   time-field = \"at\"\ntime-unit = \"ns\"";
     let configuration = configure(&site, source);
-    let mut command = support::spandrel("feed");
+    let mut command = crate::support::spandrel("feed");
     command
         .arg(site.structure_file())
         .arg("--config")
@@ -358,7 +349,7 @@ fn mistakes_of_a_condition_end_the_program_before_it_starts() {
     let text = std::fs::read_to_string(&configuration).unwrap();
     let text = text.replace("condition = \"air\"", "condition = \"water\"\nsign = -1");
     std::fs::write(&configuration, text).unwrap();
-    let mut command = support::spandrel("feed");
+    let mut command = crate::support::spandrel("feed");
     command
         .arg(site.structure_file())
         .arg("--config")

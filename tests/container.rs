@@ -1,17 +1,8 @@
 //! The file of the container image, tested without a container engine: the files it copies exist,
 //! and its command works with them.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Process, spandrel};
 use std::path::{Path, PathBuf};
-use support::{Process, spandrel};
 
 /// Folder of the configuration in the image.
 const CONFIGURATION: &str = "/etc/spandrel/";

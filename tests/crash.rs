@@ -3,17 +3,12 @@
 //! Every frame must be recorded, every estimate must be bit-identical to that of an uninterrupted
 //! run, and every alert must appear exactly once. A short form runs with the other tests. To run
 //! the long form with 200 kills, use
-//! `cargo test --workspace --test crash -- --ignored --nocapture`.
+//! `cargo test --workspace --test program crash:: -- --ignored --nocapture`.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    DEADLINE, Drops, EstimateReader, Identified, Node, Process, Record, Sensors, Site, SmallDisk,
+    assert_same_bits, spandrel, two_storeys, within,
+};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use spandrel_alert::Watch;
@@ -28,10 +23,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
-use support::{
-    DEADLINE, Drops, EstimateReader, Identified, Node, Process, Record, Sensors, Site, SmallDisk,
-    assert_same_bits, spandrel, two_storeys, within,
-};
 use tokio::time::Instant;
 
 /// Time between two looks at a condition that has no event.

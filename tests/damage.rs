@@ -1,12 +1,5 @@
 //! Damage of the demo's building: it must be found in time, without false alarms.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
 use serde_json::Value;
 use spandrel_bus::{AlertState, FrameBlock, Header, StreamState};
 use spandrel_identify::{Estimator, Identification, IdentificationInput, Output};

@@ -1,17 +1,8 @@
 //! The deployments of deploy/README.md: their commands run as printed, on computers that are
 //! network namespaces.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Computers, DEADLINE, packaged_postgresql, skip};
 use std::time::{Duration, Instant};
-use support::{Computers, DEADLINE, packaged_postgresql, skip};
 
 /// Alert of the demo in the log.
 const OF_DEMO: &str = "alert raised structure=\"demo\" parameter=\"storey-2\"";

@@ -4,15 +4,7 @@
 //! The building of `spandrel demo --distributed` has forty storeys and sixteen nodes. One node is
 //! always wrong, and one is silent for a while.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, EstimateReader, Process, Site, assert_same_bits, spandrel, within};
 use spandrel_bus::{
     AlertMessage, AlertState, Event, EventKind, LocalMessage, NodeDisplay, NodeHealth,
     OutlierDisplay, Service,
@@ -20,7 +12,6 @@ use spandrel_bus::{
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use support::{DEADLINE, EstimateReader, Process, Site, assert_same_bits, spandrel, within};
 
 fn demo(pairs: &[(&str, &str)]) -> String {
     let path =
@@ -299,7 +290,7 @@ async fn nodes_publish_rejected_samples_and_states_as_in_the_offline_summary() {
 /// The demo must report the nodes whose data it falsifies.
 #[test]
 fn the_demo_ends_with_a_summary_of_its_nodes() {
-    let endpoint = support::free_endpoint();
+    let endpoint = crate::support::free_endpoint();
     let mut command = spandrel("demo");
     command.args([
         "--distributed",
@@ -416,7 +407,7 @@ fn the_error_explains_what_cannot_be_distributed() {
     run("check", &centralised, &[])
         .expect_code(2)
         .expect_told(&["fusion", "identification = \"distributed\""]);
-    let endpoint = support::free_endpoint();
+    let endpoint = crate::support::free_endpoint();
     run(
         "identify",
         &demo(&[]),

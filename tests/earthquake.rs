@@ -1,20 +1,12 @@
 //! `spandrel earthquake`: a bridge in 21 earthquakes, a simulated hysteretic building, and
 //! recordings with mistakes.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::records_or_skip;
 use rand::{RngExt as _, SeedableRng};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use support::records_or_skip;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")

@@ -5,24 +5,15 @@
 //! middle. The estimates must be bit-identical to those of `spandrel estimate` for the record
 //! without the lost samples.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw,
+    two_storeys, within,
+};
 use spandrel_bus::{
     Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, Pace,
     SampleBlock, Service, StreamState,
 };
 use std::ops::Range;
-use support::{
-    Drops, EstimateReader, Node, Process, Record, Sensors, Site, assert_same_bits, put_raw,
-    two_storeys, within,
-};
 
 /// Encoding of sample blocks.
 const SAMPLES: &str = "application/postcard;spandrel.samples.v1";

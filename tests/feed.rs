@@ -3,15 +3,7 @@
 //!
 //! Each test contains a stand-in for an instrument, which speaks its real protocol.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{HOUSE, Process, Site, spandrel, within};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use spandrel_bus::{
@@ -28,7 +20,6 @@ use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use support::{HOUSE, Process, Site, spandrel, within};
 
 const STEP_NS: i64 = 10_000_000;
 const SECOND_NS: i64 = 1_000_000_000;

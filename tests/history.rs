@@ -1,22 +1,13 @@
 //! The stored history behind the services, the queries and the page, after all processes that
 //! observed it have ended.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Drops, Process, Site, SmallDisk, two_storeys, within};
 use serde_json::{Value, json};
 use spandrel_bus::{AlertState, Bus, HistoryLog, HistorySpan, Name, Service};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::time::Duration;
-use support::{DEADLINE, Drops, Process, Site, SmallDisk, two_storeys, within};
 
 /// Damage of storey 2 at 40 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\

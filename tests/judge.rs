@@ -1,16 +1,8 @@
 //! `spandrel judge`: the example of the book, and series with mistakes.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{StiffnessLoss, seasons};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use support::{StiffnessLoss, seasons};
 
 /// First day of the example: 1 July 2024 (days since 1970-01-01 UTC).
 const FIRST_DAY: f64 = 19_905.0;

@@ -1,13 +1,6 @@
 //! The service `judge`, fed with the estimates and temperatures of years in seconds.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, HOUSE, Process, SeasonRow, Site, StiffnessLoss, seasons, within};
 use serde_json::Value;
 use spandrel_bus::{
     Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay,
@@ -20,7 +13,6 @@ use std::net::{SocketAddr, TcpListener};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, channel};
-use support::{DEADLINE, HOUSE, Process, SeasonRow, Site, StiffnessLoss, seasons, within};
 
 const SECOND_NS: i64 = 1_000_000_000;
 /// Length of an epoch: that of the rows of the simulated seasons (s).
@@ -194,7 +186,7 @@ impl Others {
 
     /// Runs `spandrel annotate`, and returns what it prints.
     fn annotate(&self, options: &[&str]) -> String {
-        let mut command = support::spandrel("annotate");
+        let mut command = crate::support::spandrel("annotate");
         command.arg("house").args(options).args(["--who", "ada"]);
         let root = self.site.keys().root().to_string();
         command.args(["--root", &root, "--connect", self.site.endpoint()]);
@@ -219,7 +211,7 @@ impl Others {
     fn offline_course(&self) -> String {
         let series = find(&self.state_folder(), "judge-epochs.csv");
         let days = self.site.folder().join("days.csv");
-        let mut command = support::spandrel("judge");
+        let mut command = crate::support::spandrel("judge");
         command.arg(self.site.structure_file()).arg("--series");
         command.arg(&series).arg("--course").arg(&days);
         let annotations = series.with_file_name("judge-annotations.jsonl");
@@ -246,7 +238,7 @@ impl Others {
         let root = self.site.keys().root().to_string();
         let series = find(&self.state_folder(), "judge-epochs.csv");
         assert!(series.to_string_lossy().contains(&root), "{series:?}");
-        let mut command = support::spandrel("judge");
+        let mut command = crate::support::spandrel("judge");
         command.arg(self.site.structure_file()).arg("--series");
         let said = Process::start(command.arg(series).arg("--json")).wait();
         let said = said.expect_code(0);

@@ -1,20 +1,12 @@
 //! The service `modes`: the natural frequencies of live frames are those of the recording, bit for
 //! bit, also after a crash.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Process, Record, Site, spandrel, within};
 use serde_json::Value;
 use spandrel_bus::{Event, EventKind, ModeDisplay, ModeState, Subscription};
 use std::collections::BTreeMap;
 use std::process::Command;
 use std::time::Duration;
-use support::{Process, Record, Site, spandrel, within};
 
 /// Length of the epochs (s).
 const EPOCH_S: u32 = 100;

@@ -1,19 +1,10 @@
 //! The monitoring state of a structure whose samples are dropped, or whose sensors fall silent.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Process, Site, storeys, within};
 use spandrel_bus::{
     Event, EventKind, MonitoringDisplay, MonitoringState, Service, Status, Subscription,
 };
 use std::process::Command;
-use support::{Process, Site, storeys, within};
 
 /// Rules and a half-life with which alerts are decided after some seconds.
 const RULES: &str = r#"

@@ -1,14 +1,6 @@
 //! Instruments that publish to an MQTT broker. The broker is Mosquitto.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, HOUSE, Process, Site, skip, within};
 use spandrel_bus::{
     Bus, ConditionDisplay, Delivery, FrameBlock, InstrumentState, Service, Start, Status, Stream,
     TimeGrid,
@@ -19,7 +11,6 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use support::{DEADLINE, HOUSE, Process, Site, skip, within};
 
 const STEP_NS: i64 = 10_000_000;
 

@@ -4,17 +4,7 @@
 //! with a correct checksum must not cause a panic. It must not need more memory than the size of
 //! the file explains.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-#[path = "support/mutation.rs"]
-mod mutation;
-
-use mutation::{SEEDS, damaged};
+use crate::support::mutation::{SEEDS, damaged};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::de::DeserializeOwned;

@@ -1,19 +1,10 @@
 //! Neighbours that are slow, wrong or hostile: others get in, the log names them, and the log stays
 //! small.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Drops, Process, Site, five_storeys, spandrel, two_storeys};
 use spandrel_bus::Service;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use support::{DEADLINE, Drops, Process, Site, five_storeys, spandrel, two_storeys};
 
 /// Starts all services with a page, and returns the address of the page.
 fn with_page(site: &Site, arguments: &[&str]) -> (Process, String) {

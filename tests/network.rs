@@ -6,16 +6,9 @@
 //! [`links.py`](support/links.py) delays, reorders, loses and holds packets in user space, because
 //! many kernels lack netem.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
 #![cfg(target_os = "linux")]
 
-mod support;
-
+use crate::support::{Drops, Lab, Link, Process, put_raw, spandrel};
 use spandrel_bus::{
     Bus, BusConfig, EstimateBlock, LocalMessage, Message, Mode, NodeDisplay, NodeHealth,
     ParameterDisplay, Service, Subscription,
@@ -24,7 +17,6 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use support::{Drops, Lab, Link, Process, put_raw, spandrel};
 
 const NODES: [&str; 4] = ["floor-1", "floor-2", "floor-3", "floor-4"];
 const STATION: &str = "station";

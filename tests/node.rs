@@ -1,23 +1,16 @@
 //! Cost of the worker of one node: the building of forty storeys at its 250 Hz, in real time, as on
 //! the computer of a sensor.
 //!
-//! `cargo test -p spandrel --test node -- --nocapture` prints the figures of docs/distributed.md.
-//! The kernel counts the processor time, which is divided by the seconds of samples filtered in it.
-//! Other work on the machine therefore affects the figure only through caches and clock rate.
+//! `cargo test --workspace --test program node:: -- --nocapture` prints the figures of
+//! docs/distributed.md. The kernel counts the processor time, which is divided by the seconds of
+//! samples filtered in it. Other work on the machine therefore affects the figure only through
+//! caches and clock rate.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
 #![cfg(target_os = "linux")]
 
-mod support;
-
+use crate::support::{Process, free_endpoint, spandrel, within};
 use spandrel_bus::{Bus, BusConfig, Mode, Status};
 use std::path::Path;
-use support::{Process, free_endpoint, spandrel, within};
 
 const NODE: &str = "floor-1";
 const RATE_HZ: f64 = 250.0;

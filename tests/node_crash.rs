@@ -3,21 +3,12 @@
 //!
 //! They must resume from their checkpoints, and the results must match those of an undisturbed run.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Process, Site, distributed_storeys, within};
 use spandrel_bus::{Bus, BusConfig, EstimateBlock, LocalMessage, Mode, Status, Subscription};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{SystemTime, UNIX_EPOCH};
-use support::{Process, Site, distributed_storeys, within};
 
 /// Node whose worker runs in its own process.
 const NODE: &str = "floor-2";

@@ -1,14 +1,6 @@
 //! Notifications of alerts: a webhook, an Alertmanager and a mail server, all provided by the test.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
 use serde_json::Value;
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, Event, EventKind, Keys, MonitoringDisplay, MonitoringState,
@@ -21,7 +13,6 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::Duration;
-use support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
 
 /// Damage of storey 2 at 20 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\

@@ -5,18 +5,11 @@
 //! The rates are those of a correct implementation with this generator. The published rates count
 //! only grossly wrong samples.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    EstimateReader, Identified, Record, Site, assert_same_bits, two_storeys, within,
+};
 use spandrel_bus::{ChannelState, Event, EventKind, Name, OutlierDisplay, Subscription};
 use std::path::{Path, PathBuf};
-use support::{EstimateReader, Identified, Record, Site, assert_same_bits, two_storeys, within};
 
 const SECONDS: f64 = 300.0;
 const DAMAGE_S: f64 = 200.0;

@@ -4,15 +4,7 @@
 //! Each state must be reported. In the end, the estimates must be bit-identical to those of a run
 //! without overload.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{EstimateReader, Process, Sensors, Site, assert_same_bits, within};
 use spandrel_bus::{
     Bus, BusConfig, Event, EventKind, Load, Mode, ParameterDisplay, ProgressWatch, Service, Status,
     StreamState, Subscription,
@@ -20,7 +12,6 @@ use spandrel_bus::{
 use std::os::unix::net::UnixDatagram;
 use std::process::Command;
 use std::time::Duration;
-use support::{EstimateReader, Process, Sensors, Site, assert_same_bits, within};
 use tokio::sync::mpsc;
 
 /// Number of rows in a block.

@@ -4,21 +4,10 @@
 //! The records are not part of the repository but in `shared/data` next to it. Without that folder
 //! these tests are skipped, or fail if `REQUIRE_ALL_TESTS` is set.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-#[path = "support/page.rs"]
-mod page;
-mod support;
-
-use page::{Page, here, root};
+use crate::support::page::{Page, here, root};
+use crate::support::{Lab, Process, five_storeys, records_or_skip, skip};
 use std::path::Path;
 use std::process::Command;
-use support::{Lab, Process, five_storeys, records_or_skip, skip};
 
 /// Runs in its own network, because the page states the ports of the services.
 #[test]
@@ -114,7 +103,7 @@ fn the_subscriber_in_rust_prints_the_parameters_of_the_demo() {
     if !example.exists() {
         skip(
             "the example subscribe does not exist; `cargo test --workspace` builds it, and \
-             `--test pages` does not",
+             `--test program` does not",
         );
         return;
     }

@@ -1,22 +1,13 @@
 //! The files of deploy/prometheus and deploy/grafana: Prometheus accepts configuration and rules,
 //! and each query of the dashboard finds values of running systems. The test does not run Grafana.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Process, skip, spandrel};
 use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use support::{DEADLINE, Process, skip, spandrel};
 
 /// Interval between queries to Prometheus, which scrapes every 5 s.
 const ASK_EVERY: Duration = Duration::from_millis(500);
@@ -354,7 +345,7 @@ fn each_query_of_the_dashboard_finds_values_and_the_rules_are_active() {
     }
     let (_whole, whole) = demo(&["--speed", "10"]);
     let (_distributed, distributed) = demo(&["--distributed", "--speed", "10"]);
-    let classes = support::Site::of(
+    let classes = crate::support::Site::of(
         &Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/bouc-wen-five.toml"),
     );
     let mut run = classes.listening("run");

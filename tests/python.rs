@@ -4,15 +4,7 @@
 //! `python3` or as the program in `PYTHON`. Otherwise they print that they were skipped, or fail if
 //! `REQUIRE_ALL_TESTS` is set.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Lab, Process, Secured, Site, skip, two_storeys, within};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, CaughtUp, ConditionDisplay, Event, FitDisplay, HistorySpan,
     JudgementDisplay, LossDisplay, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay,
@@ -21,7 +13,6 @@ use spandrel_bus::{
 };
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use support::{Lab, Process, Secured, Site, skip, two_storeys, within};
 
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";

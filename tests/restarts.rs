@@ -1,23 +1,14 @@
 //! Processes that are killed or stopped during operation, and restarted.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    DEADLINE, Drops, EstimateReader, Identified, Process, Sensors, Site, assert_same_bits,
+    distributed_storeys, five_storeys, two_storeys, within,
+};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, Bus, BusConfig, Description, EstimateBlock,
     Mode, Name, Service, Subscription,
 };
 use std::path::{Path, PathBuf};
-use support::{
-    DEADLINE, Drops, EstimateReader, Identified, Process, Sensors, Site, assert_same_bits,
-    distributed_storeys, five_storeys, two_storeys, within,
-};
 
 /// Length of the record (s), longer than the data that can be in transit. A replay therefore cannot
 /// end before it is read.

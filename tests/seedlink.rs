@@ -1,14 +1,6 @@
 //! SeedLink servers that the feed reads. The server is `seedlink-rs-server`, not our own code.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{HOUSE, Process, Site, within};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use seedlink_rs_server::{DataStore, SeedLinkServer, ServerConfig, ShutdownHandle};
@@ -17,7 +9,6 @@ use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use support::{HOUSE, Process, Site, within};
 
 const STEP_NS: i64 = 10_000_000;
 const SECOND_NS: i64 = 1_000_000_000;

@@ -5,19 +5,9 @@
 //! repository, with source and licence. Without that folder these tests are skipped, or fail if
 //! `REQUIRE_ALL_TESTS` is set.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-#[path = "support/skip.rs"]
-mod skip;
-
+use crate::support::records_or_skip;
 use nalgebra::{Matrix3, Vector3};
 use serde_json::Value;
-use skip::records_or_skip;
 use spandrel_bus::{FrameBlock, Header, StreamState};
 use spandrel_filter::{ExtendedKalmanFilter, Frame as SamplesOfAFrame};
 use spandrel_identify::{Identification, IdentificationInput, Output};

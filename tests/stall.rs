@@ -1,14 +1,9 @@
 //! A stalled reader does not delay the other processes, and is informed of every loss.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    Drops, EstimateReader, Process, Site, assert_same_bits, five_storeys, free_endpoint, spandrel,
+    storeys, within,
+};
 use spandrel_alert::{AlertPlan, AlertService};
 use spandrel_bus::{
     Bus, BusConfig, Delivery, EstimateBlock, FrameBlock, Keys, Name, Service, Start, Stream,
@@ -27,10 +22,6 @@ use std::num::NonZeroUsize;
 use std::process::Command;
 use std::sync::Once;
 use std::time::Duration;
-use support::{
-    Drops, EstimateReader, Process, Site, assert_same_bits, five_storeys, free_endpoint, spandrel,
-    storeys, within,
-};
 
 /// Minimum duration of the stall. Zenoh closes a blocked link after 5 s, which is shorter.
 const STALL: Duration = Duration::from_secs(8);
@@ -111,7 +102,7 @@ async fn stalled_reader() {
     let mut reader = EstimateReader::join(&bus, &keys).await;
     eprintln!("joined");
     let estimates = reader.read_to_end(1).await;
-    let lines = estimates.iter().map(support::Identified::to_line);
+    let lines = estimates.iter().map(crate::support::Identified::to_line);
     std::fs::write(output, lines.collect::<String>()).unwrap();
     let counts = (read_frames_to_end(&frames).await, estimates.len());
     eprintln!("read {} frames and {} estimates", counts.0, counts.1);
@@ -142,7 +133,12 @@ async fn a_stalled_reader_delays_no_other_reader_and_recovers_everything() {
     .join(" ");
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
-        .args(["stalled_reader", "--exact", "--ignored", "--nocapture"])
+        .args([
+            "stall::stalled_reader",
+            "--exact",
+            "--ignored",
+            "--nocapture",
+        ])
         .env(STALLED_READER, told);
     let mut stalled = Process::start_with_input(&mut command);
     stalled.wait_for_log("joined");
@@ -175,7 +171,7 @@ async fn a_stalled_reader_delays_no_other_reader_and_recovers_everything() {
     let recovered: Vec<_> = std::fs::read_to_string(output)
         .unwrap()
         .lines()
-        .map(support::Identified::from_line)
+        .map(crate::support::Identified::from_line)
         .collect();
     assert_same_bits(
         "stalled reader",
@@ -196,7 +192,7 @@ async fn a_stalled_reader_delays_no_other_reader_and_recovers_everything() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_that_is_too_late_for_the_ring_receives_a_gap() {
-    let site = Site::with(&support::two_storeys(""));
+    let site = Site::with(&crate::support::two_storeys(""));
     let record = site.simulate(400.0);
     let expected = site.estimate(&record);
     let _services = site.run();
@@ -234,7 +230,7 @@ async fn a_reader_that_is_too_late_for_the_ring_receives_a_gap() {
             .await
             .unwrap()
         {
-            Delivery::Block(block) => found.extend(support::identified(&block)),
+            Delivery::Block(block) => found.extend(crate::support::identified(&block)),
             Delivery::Gap(gap) => panic!("expected one gap, found another: {gap:?}"),
         }
     }

@@ -4,15 +4,10 @@
 //! Readers receive each estimate once, in strictly increasing terms. The estimates are
 //! bit-identical to those of `spandrel estimate`.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    Drops, Estimated, Identified, Process, Record, Site, assert_same_bits, identified, put_raw,
+    spandrel, two_storeys, within,
+};
 use spandrel_bus::{
     Block, Bus, BusConfig, Delivery, EstimateBlock, Message, Mode, Service, Standing, Start,
     Status, Stream, StreamSettings, StreamState, Subscription,
@@ -20,10 +15,6 @@ use spandrel_bus::{
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;
 use std::time::Duration;
-use support::{
-    Drops, Estimated, Identified, Process, Record, Site, assert_same_bits, identified, put_raw,
-    spandrel, two_storeys, within,
-};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 

@@ -1,20 +1,11 @@
 //! The folder of the state: who may read it, and what happens when it disappears or cannot be used.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{DEADLINE, Drops, Process, Sensors, Site, SmallDisk, two_storeys, within};
 use spandrel_bus::{Bus, Event, EventKind, HistorySpan, Name, Service, Subscription};
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
-use support::{DEADLINE, Drops, Process, Sensors, Site, SmallDisk, two_storeys, within};
 
 /// Writes a configuration with state and history in `state`, and returns the command of `run`.
 fn run_with_state(site: &Site, state: &Path) -> Command {
@@ -200,7 +191,7 @@ fn recorded(site: &Site, state: &Path) -> Vec<String> {
         .find(|path| path.ends_with("recording"))
         .unwrap();
     let output = site.folder().join("recorded.csv");
-    let mut convert = support::spandrel("convert");
+    let mut convert = crate::support::spandrel("convert");
     convert.arg(folder).arg(&output);
     Process::start(&mut convert).wait().expect_code(0);
     let text = std::fs::read_to_string(output).unwrap();

@@ -1,22 +1,13 @@
 //! The streaming path gives bit-identical results to `spandrel estimate`, with real processes and
 //! real Zenoh over TCP.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
-use serde_json::Value;
-use spandrel_bus::{NoiseDisplay, Service};
-use std::collections::BTreeSet;
-use support::{
+use crate::support::{
     Drops, EstimateReader, Identified, Process, Record, Site, assert_same_bits, five_storeys,
     spandrel, two_storeys,
 };
+use serde_json::Value;
+use spandrel_bus::{NoiseDisplay, Service};
+use std::collections::BTreeSet;
 
 /// Replays a record to running services, and compares the estimates on the bus with those of the
 /// file.

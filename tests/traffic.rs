@@ -9,16 +9,9 @@
 //! run at a fraction of the rate there. Their messages have the same length, and two cores can run
 //! all of them.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
 #![cfg(target_os = "linux")]
 
-mod support;
-
+use crate::support::{Lab, Process, spandrel, within};
 use spandrel_bus::{
     Bus, BusConfig, Header, Keys, LocalMessage, Message, Mode, Name, NodeDisplay, Pace,
     SampleBlock, StreamState, Subscription, ToldMotion, ToldSamples,
@@ -29,7 +22,6 @@ use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
-use support::{Lab, Process, spandrel, within};
 use tokio::time::{Instant, sleep};
 
 /// Seconds of samples during the start-up, which is not counted.

@@ -4,28 +4,19 @@
 //! Checkpoints of `identify` are an exception: one with another layout is set aside, and `identify`
 //! reads the recording again.
 //!
-//! For a release, `cargo test --workspace --test upgrade -- --ignored` adds the folder of this
-//! version.
+//! For a release, `cargo test --workspace --test program upgrade:: -- --ignored` adds the folder of
+//! this version.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{
+    DEADLINE, EstimateReader, Identified, Process, Record, Sensors, Site, put_raw, two_storeys,
+    within,
+};
 use serde_json::Value;
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, HistoryLog, HistorySpan, Name, Service, Start, StreamSettings,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Place};
 use std::path::{Path, PathBuf};
-use support::{
-    DEADLINE, EstimateReader, Identified, Process, Record, Sensors, Site, put_raw, two_storeys,
-    within,
-};
 
 /// First chunk of all keys, which recording and history contain.
 const ROOT: &str = "kept";
@@ -399,7 +390,7 @@ async fn the_recording_of_each_version_contains_all_samples() {
     for version in versions() {
         let kept = Kept::of(&version);
         let copied = kept.site.folder().join("frames.csv");
-        let mut convert = support::spandrel("convert");
+        let mut convert = crate::support::spandrel("convert");
         Process::start(convert.arg(kept.recording()).arg(&copied))
             .wait()
             .expect_code(0);

@@ -1,21 +1,12 @@
 //! Live nodes in real time: one whose clock is far off, and one that a second program under its
 //! name has locked out.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics"
-)]
-
-mod support;
-
+use crate::support::{Node, Process, Record, Sensors, Site, put_raw, two_storeys, within};
 use spandrel_bus::{
     Block, Bus, Delivery, Event, EventKind, FrameBlock, Message as _, MonitoringDisplay, Name,
     SampleBlock, Service, Start, Status, Stream, StreamSettings, Subscription,
 };
 use std::time::Duration;
-use support::{Node, Process, Record, Sensors, Site, put_raw, two_storeys, within};
 use tokio::time::Interval;
 
 /// Rows of a block, and its length.

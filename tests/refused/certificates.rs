@@ -1,7 +1,7 @@
 //! Certificates, keys, tokens and router files.
 
+use super::table::Table;
 use crate::support::{Finished, Process, Secured, five_storeys, free_endpoint, spandrel};
-use crate::table::Table;
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair, date_time_ymd};
 use std::path::Path;
 

@@ -1,7 +1,7 @@
 //! Files and arguments that a command checks before it does anything.
 
+use super::table::Table;
 use crate::support::{Finished, Process, spandrel, two_storeys};
-use crate::table::Table;
 use std::io::Write;
 use std::path::Path;
 use std::process::Command;

@@ -1,8 +1,8 @@
 //! Checkpoints and recordings on disk: unreadable files are set aside under another name, and the
 //! services start from the rest.
 
+use super::table::{Table, code};
 use crate::support::{Process, Site, two_storeys};
-use crate::table::{Table, code};
 use spandrel_checkpoint::{Checkpoints, Identity, Place};
 use std::path::{Path, PathBuf};
 

@@ -1,11 +1,11 @@
 //! Wrong messages on the topics of running services, among sound ones: they are dropped and
 //! counted, and nothing else changes.
 
+use super::table::{Table, code};
 use crate::support::{
     DEADLINE, Drops, EstimateReader, Process, Sensors, Site, assert_same_bits, put_raw,
     two_storeys, within,
 };
-use crate::table::{Table, code};
 use spandrel_bus::{
     Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, SampleBlock,
     Service, Status, StreamState, Subscription,

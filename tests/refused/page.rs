@@ -1,7 +1,7 @@
 //! Requests to the page, and messages on its WebSocket.
 
+use super::table::{Table, code};
 use crate::support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
-use crate::table::{Table, code};
 use futures_util::{SinkExt, StreamExt};
 use std::io::{Read, Write};
 use std::net::TcpStream;

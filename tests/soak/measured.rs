@@ -1,6 +1,6 @@
 //! Measurements of running services: their memory, their delay and their counts.
 
-use crate::node::Clock;
+use super::node::Clock;
 use crate::support::Process;
 use spandrel_bus::{Bus, Keys, Load, Status};
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,18 +1,14 @@
 //! Shared parts of the end-to-end tests: processes that end with their test, a site with its own
 //! root and folder, records, and bit-identical comparison of estimates.
 
-#![allow(
-    dead_code,
-    unused_imports,
-    reason = "each test file uses its part of it"
-)]
-
 mod building;
 mod computers;
 mod disk;
 mod drops;
 mod estimates;
 mod lab;
+pub mod mutation;
+pub mod page;
 mod process;
 mod record;
 mod seasons;
@@ -33,7 +29,7 @@ pub use seasons::{SeasonRow, StiffnessLoss, seasons};
 pub use secured::Secured;
 pub use sensors::{Node, Sensors, put_raw};
 pub use site::{Site, free_endpoint};
-pub use skip::{records_or_skip, skip, zenoh_pico_or_skip};
+pub use skip::{axe_or_skip, records_or_skip, skip, zenoh_pico_or_skip};
 
 use std::future::Future;
 use std::time::Duration;

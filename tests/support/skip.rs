@@ -1,7 +1,5 @@
 //! Decides what happens if a test cannot run on this machine.
 
-#![allow(dead_code, reason = "each test file uses its part of it")]
-
 use std::path::{Path, PathBuf};
 
 /// Environment variable that makes a skipped test fail.

@@ -7,7 +7,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 
-#[path = "../tests/by_operator/mod.rs"]
+#[path = "../tests/all/by_operator/mod.rs"]
 mod by_operator;
 
 use by_operator::ByOperator;

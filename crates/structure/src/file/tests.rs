@@ -1,7 +1,7 @@
 //! Tests of valid files, and of mistakes with line, key and text.
 
 use crate::{Diagnostic, Reference, Structure, StructureError};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(super) const DEMO: &str = include_str!("../../../../docs/examples/demo.toml");
 
@@ -41,35 +41,33 @@ pub(super) fn line_of(text: &str, piece: &str) -> usize {
         + 1
 }
 
+/// Returns the structure files in a folder and its subfolders.
+fn structure_files(folder: &Path) -> Vec<PathBuf> {
+    let (folders, files): (Vec<_>, Vec<_>) = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .partition(|path| path.is_dir());
+    files
+        .into_iter()
+        .filter(|file| {
+            file.extension()
+                .is_some_and(|extension| extension == "toml")
+        })
+        .filter(|file| {
+            std::fs::read_to_string(file)
+                .unwrap()
+                .contains("[structure]")
+        })
+        .chain(folders.iter().flat_map(|folder| structure_files(folder)))
+        .collect()
+}
+
 #[test]
 fn every_example_is_read() {
-    for name in [
-        "demo",
-        "output-only",
-        "ambient",
-        "matrices",
-        "noisy",
-        "three-pier-bridge",
-        "fourteen-bay-truss",
-        "dome",
-        "dome-bars",
-        "bouc-wen-ten",
-        "bouc-wen-five",
-        "hysteretic-oscillator",
-        "dashpot-building",
-        "high-rise",
-        "tower",
-        "fifty-storeys",
-        "fifty-storeys-wind",
-        "sixty-storeys",
-        "corrupted-oscillator",
-        "hysteretic-particles",
-        "slow-oscillator",
-        "five-mass-chain",
-        "vehicle",
-    ] {
-        let path = examples().join(name).with_extension("toml");
-        if let Err(error) = Structure::read(&path) {
+    let files = structure_files(examples());
+    assert!(files.len() > 30, "{files:?}");
+    for file in files {
+        if let Err(error) = Structure::read(&file) {
             panic!("{error}");
         }
     }

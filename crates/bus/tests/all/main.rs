@@ -1,0 +1,12 @@
+//! Tests of the public interface of this crate, in one test program.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod bus;
+mod mutated;
+mod samples_json;

@@ -1,0 +1,13 @@
+//! Tests of the public interface of this crate, in one test program.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test that fails panics"
+)]
+
+mod injected;
+mod real_series;
+mod state;
+mod support;

@@ -1,0 +1,301 @@
+//! The state of a judge: its size, its restart, and its reaction to bad input.
+
+use crate::support::{describe, first_alarm, judge, settings};
+use proptest::prelude::*;
+use spandrel_judge::{
+    Absence, Condition, ConditionKind, Epoch, Judge, JudgeError, Judgement, NewReference, State,
+};
+
+const EPOCH_S: f64 = 6.0 * 3600.0;
+
+/// A structure whose frequency follows the temperature of a deck, without noise that matters.
+fn epoch(index: u32) -> Epoch {
+    let days = f64::from(index) / 4.0;
+    let deck = 10.0 + 12.0 * (days / 58.0).sin() + 3.0 * (days * 1.7).sin();
+    let noise = 0.001 * (f64::from(index) * 12.9898).sin();
+    Epoch {
+        time_s: f64::from(index) * EPOCH_S,
+        quantities: vec![Some(4.0 * (1.0 - 0.001 * deck + noise))],
+        conditions: vec![Some(deck)],
+    }
+}
+
+fn epochs(days: u32) -> Vec<Epoch> {
+    (0..4 * days).map(epoch).collect()
+}
+
+fn restored(judge: &Judge) -> Judge {
+    postcard::from_bytes(&postcard::to_allocvec(judge).unwrap()).unwrap()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(6))]
+
+    #[test]
+    fn a_restart_anywhere_gives_the_same_judgements(places in prop::collection::vec(0_usize..600, 1..4)) {
+        let mut series = epochs(150);
+        for epoch in series.iter_mut().skip(500) {
+            epoch.quantities[0] = epoch.quantities[0].map(|value| 0.97 * value);
+        }
+        let (whole, expected) = judge(settings(&["f1"], &["deck"], 95), &series);
+        let mut state = Judge::new(settings(&["f1"], &["deck"], 95)).unwrap();
+        let mut found = Vec::new();
+        for (index, epoch) in series.iter().enumerate() {
+            if places.contains(&index) {
+                state = restored(&state);
+            }
+            state.handle(epoch, &mut found).unwrap();
+        }
+        state.finish(&mut found);
+        prop_assert_eq!(
+            postcard::to_allocvec(&found).unwrap(),
+            postcard::to_allocvec(&expected).unwrap()
+        );
+        prop_assert_eq!(
+            postcard::to_allocvec(&state).unwrap(),
+            postcard::to_allocvec(&whole).unwrap()
+        );
+    }
+}
+
+#[test]
+fn the_state_of_a_quantity_stays_below_64_kilobytes() {
+    let mut state = Judge::new(settings(&["f1"], &["deck"], 400)).unwrap();
+    let mut judgements = Vec::new();
+    let mut largest = 0;
+    for epoch in epochs(560) {
+        state.handle(&epoch, &mut judgements).unwrap();
+        if epoch.time_s % (20.0 * 86_400.0) == 0.0 {
+            largest = largest.max(postcard::to_allocvec(&state).unwrap().len());
+        }
+    }
+    println!("largest state: {largest} bytes");
+    assert!(judgements.last().unwrap().state == State::Judged);
+    assert!(largest < 64 * 1024, "{largest} bytes");
+}
+
+#[test]
+fn a_loss_is_found_and_measured() {
+    let mut series = epochs(200);
+    for epoch in series
+        .iter_mut()
+        .filter(|epoch| epoch.time_s >= 130.0 * 86_400.0)
+    {
+        epoch.quantities[0] = epoch.quantities[0].map(|value| 0.95_f64.sqrt() * value);
+    }
+    let (state, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+    describe(&state, &judgements);
+    let alarm = first_alarm(&judgements).expect("an alarm");
+    assert!((130..150).contains(&alarm.day), "{}", alarm.sentence());
+    let [low, high] = judgements
+        .last()
+        .unwrap()
+        .finding
+        .unwrap()
+        .change()
+        .interval;
+    assert!(
+        low < 0.05 && 0.05 < high,
+        "95 % interval {low} to {high} of a loss of 0.05"
+    );
+}
+
+#[test]
+fn an_epoch_out_of_order_is_an_error_and_changes_nothing() {
+    let series = epochs(3);
+    let (expected, _) = judge(settings(&["f1"], &["deck"], 100), &series[..4]);
+    let mut state = Judge::new(settings(&["f1"], &["deck"], 100)).unwrap();
+    let mut judgements = Vec::new();
+    for epoch in &series[..4] {
+        state.handle(epoch, &mut judgements).unwrap();
+    }
+    for wrong in [&series[3], &series[0]] {
+        let error = state.handle(wrong, &mut judgements).unwrap_err();
+        assert!(matches!(error, JudgeError::OutOfOrder { .. }), "{error}");
+    }
+    state.finish(&mut judgements);
+    assert_eq!(state, expected);
+}
+
+#[test]
+fn a_frozen_or_missing_thermometer_gives_no_statement_and_no_alarm() {
+    for (value, expected) in [
+        (Some(4.0), Absence::Frozen("deck".to_owned())),
+        (None, Absence::Condition("deck".to_owned())),
+        // Kelvin that arrive as °C are not plausible.
+        (Some(281.0), Absence::Condition("deck".to_owned())),
+    ] {
+        let mut series = epochs(160);
+        for epoch in series
+            .iter_mut()
+            .filter(|epoch| epoch.time_s >= 120.0 * 86_400.0)
+        {
+            epoch.conditions[0] = value;
+        }
+        let (_, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+        assert!(first_alarm(&judgements).is_none(), "{value:?}");
+        let last = judgements.last().unwrap();
+        assert_eq!(
+            last.state,
+            State::NoStatement { why: expected },
+            "{value:?}"
+        );
+    }
+}
+
+#[test]
+fn the_units_of_a_temperature_give_the_same_judgements() {
+    let series = epochs(130);
+    let (_, expected) = judge(settings(&["f1"], &["deck"], 100), &series);
+    type Convert = fn(f64) -> f64;
+    let units: [(ConditionKind, Convert); 2] = [
+        (ConditionKind::Kelvin, |celsius| celsius + 273.15),
+        (ConditionKind::Fahrenheit, |celsius| 1.8 * celsius + 32.0),
+    ];
+    for (kind, convert) in units {
+        let mut settings = settings(&["f1"], &["deck"], 100);
+        settings.conditions[0] = Condition {
+            name: "deck".to_owned(),
+            kind,
+        };
+        let mut series = series.clone();
+        for epoch in &mut series {
+            epoch.conditions[0] = epoch.conditions[0].map(convert);
+        }
+        let (_, found) = judge(settings, &series);
+        for (found, expected) in found.iter().zip(&expected) {
+            assert_eq!(found.state, expected.state, "{kind:?}");
+            let difference = found.expectation.zip(expected.expectation);
+            let difference = difference.map_or(0.0, |(a, b)| (a.expected / b.expected - 1.0).abs());
+            assert!(difference < 1e-9, "{kind:?}: {difference}");
+        }
+    }
+}
+
+#[test]
+fn an_input_that_is_wrong_after_the_commissioning_gives_no_alarm() {
+    type Change = fn(&mut Epoch);
+    let mistakes: [(&str, Change); 4] = [
+        ("°F that arrive as °C", |epoch| {
+            epoch.conditions[0] = epoch.conditions[0].map(|celsius| 1.8 * celsius + 32.0);
+        }),
+        ("a thermometer of another place", |epoch| {
+            epoch.conditions[0] = epoch.conditions[0].map(|celsius| celsius + 25.0);
+        }),
+        ("a clock that jumps by 200 days", |epoch| {
+            epoch.time_s += 200.0 * 86_400.0;
+        }),
+        ("a program that finds no frequency", |epoch| {
+            epoch.quantities[0] = Some(f64::NAN);
+        }),
+    ];
+    for (name, change) in mistakes {
+        let mut series = epochs(160);
+        let is_late = |epoch: &&mut Epoch| epoch.time_s >= 120.0 * 86_400.0;
+        series.iter_mut().filter(is_late).for_each(change);
+        let (state, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+        describe(&state, &judgements);
+        assert!(first_alarm(&judgements).is_none(), "{name}");
+    }
+}
+
+#[test]
+fn an_epoch_of_another_mode_does_not_change_its_day() {
+    let series = epochs(130);
+    let (_, expected) = judge(settings(&["f1"], &["deck"], 100), &series);
+    let mut confused = series.clone();
+    for epoch in confused.iter_mut().step_by(16) {
+        epoch.quantities[0] = epoch.quantities[0].map(|value| 0.9 * value);
+    }
+    let (_, found) = judge(settings(&["f1"], &["deck"], 100), &confused);
+    let measured =
+        |judgements: &[Judgement]| judgements.last().unwrap().expectation.unwrap().measured;
+    assert!((measured(&found) / measured(&expected) - 1.0).abs() < 0.002);
+    assert!(first_alarm(&found).is_none());
+}
+
+#[test]
+fn the_state_of_three_thermometers_stays_below_64_kilobytes() {
+    let conditions = ["deck", "girder", "air"];
+    let mut state = Judge::new(settings(&["f1"], &conditions, 400)).unwrap();
+    let mut judgements = Vec::new();
+    let mut largest = 0;
+    for mut epoch in epochs(560) {
+        let deck = epoch.conditions[0].unwrap();
+        epoch.conditions = vec![
+            Some(deck),
+            Some(0.8 * deck + 1.0),
+            Some(deck - 0.5 * deck.sin()),
+        ];
+        state.handle(&epoch, &mut judgements).unwrap();
+        if epoch.time_s % (20.0 * 86_400.0) == 0.0 {
+            largest = largest.max(postcard::to_allocvec(&state).unwrap().len());
+        }
+    }
+    println!("largest state: {largest} bytes");
+    assert!(largest < 64 * 1024, "{largest} bytes");
+}
+
+#[test]
+fn a_new_reference_is_that_of_a_judge_that_starts_at_its_moment() {
+    let settings = || settings(&["f1", "f2"], &["deck"], 95);
+    let mut series = epochs(200);
+    for epoch in &mut series {
+        let value = epoch.quantities[0];
+        epoch.quantities.push(value);
+    }
+    let moment_s = 60.5 * 86_400.0;
+    let (_, unchanged) = judge(settings(), &series);
+    let later: Vec<Epoch> = series
+        .iter()
+        .filter(|epoch| epoch.time_s >= moment_s)
+        .cloned()
+        .collect();
+    let (_, fresh) = judge(settings(), &later);
+    let mut state = Judge::new(settings()).unwrap();
+    state.start_anew(NewReference {
+        time_s: moment_s,
+        quantity: Some(1),
+    });
+    assert!(!state.awaits_reference(0) && state.awaits_reference(1));
+    let mut judgements = Vec::new();
+    for epoch in &series {
+        state.handle(epoch, &mut judgements).unwrap();
+    }
+    state.finish(&mut judgements);
+    assert!(!state.awaits_reference(1));
+    let of = |all: &[Judgement], name: &str, from: i64| -> Vec<Judgement> {
+        let days = all.iter().filter(|day| day.quantity == name);
+        days.filter(|day| day.day >= from).cloned().collect()
+    };
+    assert_eq!(of(&judgements, "f1", 0), of(&unchanged, "f1", 0));
+    assert_eq!(of(&judgements, "f2", 60), of(&fresh, "f2", 60));
+    let before = of(&judgements, "f2", 0);
+    assert_eq!(before[..60], of(&unchanged, "f2", 0)[..60]);
+    // The morning of the day of the moment does not count.
+    assert_eq!(before[60].means.as_ref().unwrap().epochs, 2);
+}
+
+#[test]
+fn a_new_reference_clears_the_change() {
+    let mut series = epochs(200);
+    for epoch in series
+        .iter_mut()
+        .filter(|epoch| epoch.time_s >= 130.0 * 86_400.0)
+    {
+        epoch.quantities[0] = epoch.quantities[0].map(|value| 0.95_f64.sqrt() * value);
+    }
+    let mut state = Judge::new(settings(&["f1"], &["deck"], 100)).unwrap();
+    state.start_anew(NewReference {
+        time_s: 160.0 * 86_400.0,
+        quantity: None,
+    });
+    let mut judgements = Vec::new();
+    for epoch in &series {
+        state.handle(epoch, &mut judgements).unwrap();
+    }
+    let on = |day: usize| &judgements[day];
+    assert!(on(159).finding.is_some());
+    assert_eq!(on(160).finding, None);
+    assert_eq!(on(160).state, State::Learning { days_left: 99 });
+}

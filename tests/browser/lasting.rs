@@ -1,0 +1,205 @@
+//! The year of a judged quantity on the page: 510 days that the service judge has in its file.
+
+use super::{Browser, Program, browser, free_address};
+use crate::support::{StiffnessLoss, seasons};
+use spandrel_checkpoint::fingerprint;
+use std::fmt::Write as _;
+use std::path::Path;
+
+const JUDGE: &str = "[judge]\nepoch-s = 21600\n\
+                     [[judge.quantity]]\nname = \"storey-1\"\nis = \"stiffness\"\n\
+                     [[judge.quantity]]\nname = \"storey-2\"\nis = \"stiffness\"\n\
+                     [[judge.condition]]\nname = \"deck\"\nunit = \"degC\"\n";
+/// First day of the series: 1 July 2024 (days since 1970-01-01 UTC).
+const FIRST_DAY: f64 = 19_905.0;
+const LOSS: StiffnessLoss = StiffnessLoss {
+    share: 0.05,
+    day: 480,
+};
+/// Frequencies of the two modes of the simulated seasons at 0 °C (Hz).
+const FREQUENCIES: [f64; 2] = [2.31, 3.87];
+/// Number of bytes of a check value.
+const CHECK_BYTES: usize = 8;
+
+/// Returns the file of the epochs as the service writes it.
+fn epochs() -> String {
+    let check = |text: &str, before: &str| {
+        let all = fingerprint(&format!("{before}{text}"));
+        all[..CHECK_BYTES]
+            .iter()
+            .fold(String::new(), |mut hex, byte| {
+                write!(hex, "{byte:02x}").unwrap();
+                hex
+            })
+    };
+    let mut text = "time,storey-1,storey-2,deck,deviation(storey-1),deviation(storey-2),\
+                    spandrel-measured,spandrel-check\n"
+        .to_owned();
+    let mut before = check(&text, "");
+    for row in seasons(1, 510, Some(LOSS)) {
+        let seconds = (FIRST_DAY + row.day) * 86_400.0;
+        let mut line = format!("{seconds:.9},");
+        for (value, at_zero) in row.frequencies.into_iter().zip(FREQUENCIES) {
+            if let Some(value) = value {
+                write!(line, "{}", (value / at_zero).powi(2)).unwrap();
+            }
+            line.push(',');
+        }
+        write!(line, "{},,,1,", row.deck).unwrap();
+        before = check(&line, &before);
+        text += &format!("{line}{before}\n");
+    }
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
+    let structure = folder.path().join("demo.toml");
+    let text = std::fs::read_to_string(demo).unwrap() + "\n" + JUDGE;
+    std::fs::write(&structure, text).unwrap();
+    let state = folder.path().join("state");
+    let saved = state.join("spandrel/demo/checkpoints");
+    std::fs::create_dir_all(&saved).unwrap();
+    std::fs::write(saved.join("judge-epochs.csv"), epochs()).unwrap();
+    let configuration = folder.path().join("spandrel.toml");
+    let text = format!(
+        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\nlisten = \"127.0.0.1:0\"\n\
+         [history]\ndatabase = \"none\"\n[state]\nfolder = {state:?}\n",
+        free_address()
+    );
+    std::fs::write(&configuration, text).unwrap();
+    let services = Program::start(&["run", "--config", configuration.to_str().unwrap()]);
+    browser.resize(1280, 1000).await;
+    browser.prefer("light").await;
+    browser.open(&services.page).await;
+    browser.evaluate("location.hash = '#/structure/demo'").await;
+    the_present_state_leads_to_the_year(&mut browser).await;
+    the_first_quantity_has_lost_stiffness(&mut browser).await;
+    another_quantity_has_its_own_address(&mut browser).await;
+    the_plots_are_zoomed_and_read_by_keyboard(&mut browser).await;
+    a_phone_shows_the_year_without_scrolling_aside(&mut browser).await;
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
+    the_days_are_served_as_csv(&mut browser).await;
+}
+
+/// Returns an expression: the text above a plot, which states the day at the crosshair.
+fn readout(plot: &str) -> String {
+    format!("document.querySelector('#plot-{plot} .readout').textContent")
+}
+
+/// Returns an expression: the text of the panel of lasting change.
+const PANEL: &str = "document.getElementById('panel-lasting').innerText";
+
+async fn the_present_state_leads_to_the_year(browser: &mut Browser) {
+    let list = "document.getElementById('judgements')";
+    let lost = format!(
+        "/▲ lasting-loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch 2025-11-22/.test({list}.textContent)"
+    );
+    browser
+        .wait("the state among the present ones", &lost)
+        .await;
+    browser
+        .evaluate(&format!("{list}.querySelector('a').click()"))
+        .await;
+    let address = "location.hash === '#/structure/demo/lasting?quantity=storey-1'";
+    browser.wait("the address of the year", address).await;
+}
+
+async fn the_first_quantity_has_lost_stiffness(browser: &mut Browser) {
+    let lost = format!("/storey-1 has lost [0-9.]+ % of stiffness/.test({PANEL})");
+    browser.wait("a lasting loss", &lost).await;
+    let day = format!(
+        "/^2025-11-2. · measured .* · expected .* · since the change$/.test({})",
+        readout("year")
+    );
+    browser.wait("the last day in the plot", &day).await;
+    for part in [
+        "2024-07-01 to 2025-06-30",
+        "0.05, of 0.1 for the structure",
+        "mostly missed",
+    ] {
+        let told = format!("{PANEL}.includes('{part}')");
+        browser.wait(part, &told).await;
+    }
+    browser.screenshot("lasting-change").await;
+    browser.prefer("dark").await;
+    browser.screenshot("lasting-change-dark").await;
+    browser.prefer("light").await;
+}
+
+async fn another_quantity_has_its_own_address(browser: &mut Browser) {
+    let open = "document.querySelectorAll('.quantities a')[1].click()";
+    browser.evaluate(open).await;
+    let sound = format!("/storey-2 shows no lasting change/.test({PANEL})");
+    browser.wait("a sound quantity", &sound).await;
+    let address = "location.hash === '#/structure/demo/lasting?quantity=storey-2'";
+    browser.wait("the address of the quantity", address).await;
+    browser.reload().await;
+    browser
+        .wait("the same quantity after a reload", &sound)
+        .await;
+}
+
+async fn the_plots_are_zoomed_and_read_by_keyboard(browser: &mut Browser) {
+    let drawn = format!("/^2025-11-2. · /.test({})", readout("year"));
+    browser.wait("the days", &drawn).await;
+    browser
+        .evaluate("document.querySelector('#plot-year .plot-holder').focus()")
+        .await;
+    browser.press("ArrowLeft").await;
+    let read = readout("residuals");
+    let same = format!("{}.slice(0, 10) === {read}.slice(0, 10)", readout("year"));
+    browser.wait("a common crosshair", &same).await;
+    browser.press("+").await;
+    let zoomed = "/from=.*&to=/.test(location.hash)";
+    browser.wait("a zoom in the address", zoomed).await;
+    browser.press("Home").await;
+    let whole = "location.hash === '#/structure/demo/lasting?quantity=storey-2'";
+    browser.wait("the whole year", whole).await;
+    browser
+        .evaluate("document.querySelector('#plot-scatter').scrollIntoView()")
+        .await;
+    let scatter = format!(
+        "/^20..-..-.. · -?[0-9.]+ °C · measured /.test({})",
+        readout("scatter")
+    );
+    browser.wait("values over the temperature", &scatter).await;
+}
+
+async fn the_days_are_served_as_csv(browser: &mut Browser) {
+    let fetched = "fetch('/api/structures/demo/judgements/storey-1/course?format=csv').then((answer) => answer.text())";
+    let text = browser.evaluate(fetched).await;
+    let lines: Vec<&str> = text.as_str().unwrap().lines().collect();
+    assert!(
+        lines[0].starts_with("date,quantity,state,change,"),
+        "{}",
+        lines[0]
+    );
+    // The last day is not over.
+    assert_eq!(lines.len(), 1 + 509);
+    assert!(
+        lines[509].starts_with("2025-11-21,storey-1,judged,lasting-loss,"),
+        "{}",
+        lines[509]
+    );
+    let unknown =
+        "fetch('/api/structures/demo/judgements/pier/course').then((answer) => answer.status)";
+    assert_eq!(browser.evaluate(unknown).await, 404);
+}
+
+async fn a_phone_shows_the_year_without_scrolling_aside(browser: &mut Browser) {
+    browser.resize(390, 844).await;
+    browser.evaluate("scrollTo(0, 0)").await;
+    let fits = "document.documentElement.scrollWidth <= innerWidth";
+    browser.wait("a page as wide as the phone", fits).await;
+    browser.screenshot("lasting-change-phone").await;
+}

@@ -1,0 +1,218 @@
+//! Tests of the layout of the page: labels of marks, names in the drawing, and columns of a table.
+//! Another test checks that the page shows its connection immediately.
+
+use super::{Program, browser, free_address};
+use serde_json::Value;
+use std::path::Path;
+
+pub(super) fn example(name: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .to_str()
+        .unwrap()
+        .to_owned()
+}
+
+/// Starts a demo that keeps running, without its output.
+pub(super) fn demo(arguments: &[&str]) -> Program {
+    let endpoint = format!("tcp/{}", free_address());
+    let settings = [
+        "--stay",
+        "--speed",
+        "10",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ];
+    Program::start(&[&["demo"], arguments, &settings].concat())
+}
+
+/// Regression test: a red "connecting …" was shown for a second although data had just arrived.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_shows_that_it_is_connected_from_the_first_message_on() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    let told = "(async () => {
+        const { Connection } = await import('/connection.js');
+        const connection = new Connection();
+        let told = null;
+        connection.on('state', () => (told = connection.isOpen));
+        return await new Promise((done) => {
+          connection.on('overview', () => done(told));
+          connection.listen(null);
+        });
+      })()";
+    assert_eq!(browser.evaluate(told).await, true);
+}
+
+/// Regression test: labels were at the line of another mark, or on the curve.
+#[tokio::test(flavor = "multi_thread")]
+async fn labels_of_marks_are_at_their_own_lines() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    for moments in [
+        "[52, 50]",         // raised, and pending 5 s earlier
+        "[97, 96]",         // the same at the newest data
+        "[50, 50]",         // at the same time
+        "[60, 62, 58, 99]", // acknowledged and cleared soon after
+    ] {
+        let script = format!(
+            "(async () => {{
+                const {{ flags }} = await import('/marks.js');
+                const marks = {moments}.map((x, index) => ({{ x, text: `acknowledge${{index}}` }}));
+                return flags(marks, {{ min: 0, max: 100 }}, 400, (text) => 6 * text.length);
+            }})()"
+        );
+        let placed = browser.evaluate(&script).await;
+        check_words(placed.as_array().unwrap(), moments);
+    }
+}
+
+/// Regression test: four labels "pending" were stacked above one plot.
+#[tokio::test(flavor = "multi_thread")]
+async fn equal_marks_that_are_close_share_a_label_with_their_number() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    let script = "(async () => {
+        const { flags } = await import('/marks.js');
+        const marks = [50, 51, 52, 90, 53].map((x) => ({ x, text: 'pending' }));
+        const placed = flags(marks, { min: 0, max: 100 }, 400, (text) => 6 * text.length);
+        return placed.filter(({ row }) => row >= 0).map(({ text }) => text);
+      })()";
+    let told = browser.evaluate(script).await;
+    assert_eq!(told, serde_json::json!(["pending ×4", "pending"]));
+}
+
+/// Checks the labels of marks on 400 px. Each must be beside its own line, and on no other line or
+/// label.
+fn check_words(flags: &[Value], moments: &str) {
+    const GAP: f64 = 4.0;
+    let number = |flag: &Value, key: &str| flag[key].as_f64().unwrap();
+    let words: Vec<&Value> = flags
+        .iter()
+        .filter(|flag| number(flag, "row") >= 0.0)
+        .collect();
+    assert!(words.len() >= 2, "{moments}: {words:?}");
+    for word in words {
+        let [at, from, to, row] = ["at", "from", "to", "row"].map(|key| number(word, key));
+        assert!(
+            from == at + GAP || to == at - GAP,
+            "not at its line, {moments}: {word}"
+        );
+        assert!(from >= 0.0 && to <= 400.0, "outside, {moments}: {word}");
+        for other in flags.iter().filter(|other| !std::ptr::eq(*other, word)) {
+            // A line extends up to its label. Without a label, it ends at the plot.
+            let is_crossed =
+                number(other, "row") >= row && (from..to).contains(&number(other, "at"));
+            assert!(
+                !is_crossed,
+                "on the line of another, {moments}: {word}, {other}"
+            );
+            let is_covered = number(other, "row") == row
+                && from < number(other, "to")
+                && number(other, "from") < to;
+            assert!(
+                !is_covered,
+                "on the word of another, {moments}: {word}, {other}"
+            );
+        }
+    }
+}
+
+/// Regression test: storey 1 was in alarm, but was a strip of five pixels without a name.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_small_part_with_a_probable_loss_is_named_beside_the_drawing() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&["--distributed"]);
+    browser.resize(1280, 900).await;
+    browser.prefer("light").await;
+    browser
+        .open(&format!("{}#/structure/demo-distributed", demo.page))
+        .await;
+    let callout =
+        |storey: &str| format!("document.querySelector('.drawing [data-callout={storey}]')");
+    let shown = format!(
+        "{}?.getAttribute('visibility') !== 'hidden'",
+        callout("storey-1")
+    );
+    browser
+        .wait("the drawing", &format!("{} !== null", callout("storey-1")))
+        .await;
+    browser
+        .wait(
+            "the loss of storey 1",
+            "document.querySelector('.attention').dataset.level === 'alarm'",
+        )
+        .await;
+    browser.wait("its name beside the drawing", &shown).await;
+    let text = browser
+        .evaluate(&format!("{}.textContent", callout("storey-1")))
+        .await;
+    assert!(
+        text.as_str()
+            .is_some_and(|text| text.starts_with("storey-1") && text.ends_with(" %")),
+        "{text}"
+    );
+    let inside = format!(
+        "(() => {{
+            const drawing = document.querySelector('.drawing').getBoundingClientRect();
+            const texts = [...{}.querySelectorAll('text')].map((one) => one.getBoundingClientRect());
+            return texts.every((one) => one.left >= drawing.left && one.right <= drawing.right && one.bottom <= drawing.bottom);
+          }})()",
+        callout("storey-1")
+    );
+    browser.wait("a name that is not cut off", &inside).await;
+    browser.screenshot("small-parts-light").await;
+    browser.prefer("dark").await;
+    browser.screenshot("small-parts-dark").await;
+    browser.resize(390, 844).await;
+    browser.screenshot("small-parts-phone").await;
+    assert_eq!(
+        browser.complaints(),
+        Vec::<String>::new(),
+        "the page complained"
+    );
+}
+
+/// Regression test: the table beside the drawing was cut off and required horizontal scrolling.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_table_of_parts_fits_on_a_small_screen() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    for name in ["three-pier-bridge", "dome-bars"] {
+        let demo = demo(&[
+            "--structure",
+            &example(&format!("{name}.toml")),
+            "--duration",
+            "20",
+        ]);
+        browser
+            .open(&format!("{}#/structure/{name}", demo.page))
+            .await;
+        browser
+            .wait("estimates", "/^\\d\\.\\d+ ± /.test(document.querySelector('.parameters td.number')?.textContent)")
+            .await;
+        for width in [1280, 1100, 1000, 961, 800, 390] {
+            browser.resize(width, 900).await;
+            let cut = "(() => { const box = document.querySelector('.scroll:has(.parameters)'); return box.scrollWidth - box.clientWidth; })()";
+            assert_eq!(browser.evaluate(cut).await, 0, "{name} at {width} px");
+            if width == 1000 {
+                browser.screenshot(&format!("table-{name}")).await;
+            }
+        }
+    }
+}

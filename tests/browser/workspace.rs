@@ -1,0 +1,424 @@
+//! The page of a structure as a workspace: tabs, the address, small plots, search, time zones, a free
+//! time range, and access with assistive technology.
+
+use super::layout::demo;
+use super::{Browser, Program, browser};
+use crate::support::axe_or_skip;
+use serde_json::json;
+use std::fmt::Write as _;
+
+/// Number of storeys and parameters of the tall building.
+const STOREYS: usize = 40;
+
+/// Opens a page of a structure and waits for a condition.
+async fn open(browser: &mut Browser, demo: &Program, hash: &str, what: &str, condition: &str) {
+    browser.open(&format!("{}{hash}", demo.page)).await;
+    browser.wait(what, condition).await;
+}
+
+/// Returns a structure file of forty storeys with a parameter and a sensor each.
+fn tall_building() -> String {
+    let mut text = String::from(
+        "[structure]\nname = \"tall\"\ndescription = \"forty storeys\"\nsampling-rate-hz = 25\n\
+         display-rate-hz = 10\n[model]\nkind = \"shear-building\"\nstoreys = 40\nmass-kg = 20_000\n\
+         first-frequency-hz = 0.3\n[damping]\nkind = \"rayleigh\"\nratio = 0.02\nmodes = [1, 2]\n\
+         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
+         [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
+         quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n\
+         [[alert]]\nparameters = \"stiffness\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+         reference = { learn-s = 10 }\n",
+    );
+    for storey in 1..=STOREYS {
+        write!(
+            text,
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\n\
+             std = 0.05\n[[node]]\nname = \"node-{storey}\"\n[[node.channel]]\n\
+             name = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\n\
+             dof = \"floor-{storey}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
+        )
+        .unwrap();
+    }
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tabs_are_operated_by_keyboard_and_kept_in_the_address() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    let selected = "document.querySelector('[role=tab][aria-selected=true]').id";
+    open(
+        &mut browser,
+        &demo,
+        "#/structure/demo",
+        "the first tab",
+        &format!("{selected} === 'tab-now'"),
+    )
+    .await;
+    browser
+        .evaluate("document.getElementById('tab-now').focus()")
+        .await;
+    browser.press("ArrowRight").await;
+    let panels = "[...document.querySelectorAll('[role=tabpanel]')].filter((one) => !one.hidden).map((one) => one.id).join()";
+    assert_eq!(browser.evaluate(panels).await, "panel-parameters");
+    assert_eq!(
+        browser.evaluate("document.activeElement.id").await,
+        "tab-parameters"
+    );
+    assert_eq!(
+        browser.evaluate("location.hash").await,
+        "#/structure/demo/parameters"
+    );
+    browser.press("End").await;
+    assert_eq!(browser.evaluate(panels).await, "panel-settings");
+    browser.evaluate("history.back()").await;
+    browser
+        .wait(
+            "the former tab",
+            &format!("{selected} === 'tab-parameters'"),
+        )
+        .await;
+
+    // The length of the span and the zoom survive a reload.
+    browser
+        .evaluate("[...document.querySelectorAll('.ranges button')].find((one) => one.textContent === '1 h').click()")
+        .await;
+    assert_eq!(
+        browser.evaluate("location.hash").await,
+        "#/structure/demo/parameters?span=3600"
+    );
+    browser.reload().await;
+    browser
+        .wait(
+            "the same span",
+            "document.querySelector('.ranges [aria-pressed=true]')?.textContent === '1 h'",
+        )
+        .await;
+    assert_eq!(browser.evaluate(panels).await, "panel-parameters");
+    browser
+        .wait(
+            "a plot",
+            "document.querySelector('#plot-parameter-storey-1 canvas')",
+        )
+        .await;
+    browser
+        .evaluate("document.querySelector('#plot-parameter-storey-1 .plot-holder').focus()")
+        .await;
+    browser.press("+").await;
+    let text = "document.querySelector('.range-text').textContent.split(' ·')[0]";
+    browser
+        .wait("a zoom", "location.hash.includes('from=')")
+        .await;
+    let zoomed = browser.evaluate(text).await;
+    browser.reload().await;
+    browser
+        .wait("the same zoom", &format!("{text} === {zoomed}"))
+        .await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// The points of the live data still arrive, but no hidden plot is drawn.
+#[tokio::test(flavor = "multi_thread")]
+async fn plots_of_hidden_tabs_are_not_drawn() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&["--duration", "600"]);
+    open(
+        &mut browser,
+        &demo,
+        "#/structure/demo/parameters",
+        "a plot",
+        "document.querySelector('#plot-parameter-storey-1 canvas')",
+    )
+    .await;
+    let drawn = |tab: &str| {
+        format!(
+            "(async () => {{
+                document.getElementById('tab-{tab}').click();
+                await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+                const {{ Connection }} = await import('/connection.js');
+                const connection = new Connection();
+                const original = CanvasRenderingContext2D.prototype.stroke;
+                let strokes = 0;
+                CanvasRenderingContext2D.prototype.stroke = function (...path) {{ strokes += 1; return original.apply(this, path); }};
+                let messages = 0;
+                await new Promise((done) => {{
+                    connection.on('points', () => (messages += 1) === 20 && done());
+                    connection.listen('demo');
+                }});
+                connection.close?.();
+                CanvasRenderingContext2D.prototype.stroke = original;
+                return strokes;
+            }})()"
+        )
+    };
+    assert_eq!(browser.evaluate(&drawn("settings")).await, 0);
+    let visible = browser.evaluate(&drawn("parameters")).await;
+    assert!(visible.as_u64().unwrap() > 0, "nothing was drawn at all");
+}
+
+/// Regression test: forty storeys took a page of 10,014 px, in the order 1, 10, 11, each plot with
+/// its own scale.
+#[tokio::test(flavor = "multi_thread")]
+async fn forty_parameters_fit_a_screen_and_are_found() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("tall.toml");
+    std::fs::write(&file, tall_building()).unwrap();
+    let demo = demo(&["--structure", file.to_str().unwrap(), "--duration", "20"]);
+    browser.resize(1280, 900).await;
+    open(
+        &mut browser,
+        &demo,
+        "#/structure/tall/parameters",
+        "drawn small plots",
+        "document.getElementById('small-scale')?.textContent.startsWith('Common scale of all stiffnesses: ')",
+    )
+    .await;
+    let shown = "[...document.querySelectorAll('.small-plot')].filter((one) => !one.hidden)";
+    assert_eq!(browser.evaluate(&format!("{shown}.length")).await, STOREYS);
+    let lowest = format!("Math.max(...{shown}.map((one) => one.getBoundingClientRect().bottom))");
+    let lowest = browser.evaluate(&lowest).await.as_f64().unwrap();
+    assert!(lowest <= 900.0, "the small plots end at {lowest} px");
+    let rows = format!(
+        "new Set({shown}.map((one) => Math.round(one.getBoundingClientRect().top))).size * new Set({shown}.map((one) => Math.round(one.getBoundingClientRect().left))).size"
+    );
+    assert_eq!(browser.evaluate(&rows).await, STOREYS, "empty places");
+    let cut = format!(
+        "{shown}.filter((one) => one.querySelector('.name').scrollWidth > one.querySelector('.name').clientWidth).length"
+    );
+    assert_eq!(browser.evaluate(&cut).await, 0, "names are cut off");
+    browser.screenshot("forty-parameters").await;
+
+    browser
+        .evaluate("const search = document.querySelector('#panel-parameters .search'); search.value = 'storey-4'; search.dispatchEvent(new Event('input'))")
+        .await;
+    let names = format!("{shown}.map((one) => one.dataset.parameter)");
+    assert_eq!(
+        browser.evaluate(&names).await,
+        json!(["storey-4", "storey-40"])
+    );
+    browser.evaluate(&format!("{shown}[1].click()")).await;
+    browser
+        .wait(
+            "the details of storey 40",
+            "document.querySelector('.detail #plot-parameter-storey-40 canvas')",
+        )
+        .await;
+    assert_eq!(
+        browser.evaluate("location.hash").await,
+        "#/structure/tall/parameters?parameter=storey-40"
+    );
+    browser.screenshot("forty-parameters-detail").await;
+
+    browser
+        .evaluate("document.getElementById('tab-model').click()")
+        .await;
+    browser
+        .wait(
+            "the innovations of all channels",
+            "document.querySelectorAll('#group-innovations .plot').length === 40",
+        )
+        .await;
+    let order = "[...document.querySelectorAll('#group-innovations .plot')].map((one) => Number(one.id.split('-').at(-1)))";
+    let natural: Vec<usize> = (1..=STOREYS).collect();
+    assert_eq!(browser.evaluate(order).await, json!(natural));
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// The server sorts the structures by urgency. Here, the page receives a hundred copies of one.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hundred_structures_are_short_cards_that_can_be_searched() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    open(
+        &mut browser,
+        &demo,
+        "#/",
+        "an alarm with the line of the last day",
+        "document.querySelector('.structure-card[data-level=alarm] .trend:not([hidden])')?.getAttribute('aria-label').includes('over the last day')",
+    )
+    .await;
+    let count = "document.querySelectorAll('.structure-card').length";
+    assert_eq!(browser.evaluate(count).await, 1);
+    assert_eq!(
+        browser.evaluate("document.querySelector('.search')").await,
+        json!(null)
+    );
+    let many = "(async () => {
+        const { OverviewPage } = await import('/overview.js');
+        const [one] = (await (await fetch('/api/structures')).json()).structures;
+        let show = null;
+        const page = new OverviewPage({ listen() {}, on: (_, listener) => { show = listener; return () => {}; } });
+        document.getElementById('main').replaceChildren(page.element);
+        show({ structures: Array.from({ length: 100 }, (_, index) => ({ ...one, name: `bridge-${index + 1}` })) });
+        const search = document.querySelector('.overview .search');
+        search.value = 'bridge-10';
+        search.dispatchEvent(new Event('input'));
+        return [...document.querySelectorAll('.structure-card')].map((card) => card.dataset.name);
+      })()";
+    assert_eq!(
+        browser.evaluate(many).await,
+        json!(["bridge-10", "bridge-100"])
+    );
+    browser.screenshot("many-structures").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn times_are_shown_in_utc_or_in_the_zone_of_the_browser() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    browser.move_to("Asia/Kathmandu").await;
+    let demo = demo(&[]);
+    let facts = "document.querySelector('.facts-line').textContent";
+    open(
+        &mut browser,
+        &demo,
+        "#/structure/demo",
+        "an alarm with its time",
+        "/since .* UTC$/.test(document.querySelector('.attention .sentence')?.textContent)",
+    )
+    .await;
+    browser
+        .wait(
+            "the end of the demo",
+            "document.body.innerText.includes('no new data')",
+        )
+        .await;
+    let stamp = format!("{facts}.match(/measured (\\S+ \\S+) UTC/)[1]");
+    let utc = browser.evaluate(&stamp).await;
+    browser
+        .evaluate("document.getElementById('zone').click()")
+        .await;
+    let local = format!("{facts}.match(/measured (\\S+ \\S+) UTC\\+5:45/)?.[1]");
+    browser.wait("local times", &local).await;
+    let difference = format!("(Date.parse({local} + 'Z') - Date.parse({utc} + 'Z')) / 60000");
+    assert_eq!(browser.evaluate(&difference).await, 345.0);
+    browser
+        .wait(
+            "the sentence of the server in local time",
+            "/since .* UTC\\+5:45$/.test(document.querySelector('.attention .sentence').textContent)",
+        )
+        .await;
+    browser.reload().await;
+    browser.wait("the zone after a reload", &local).await;
+    browser
+        .evaluate("document.getElementById('zone').click()")
+        .await;
+    browser
+        .wait("UTC again", &format!("{stamp} === {utc}"))
+        .await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_free_range_is_shown_and_exported() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    open(
+        &mut browser,
+        &demo,
+        "#/structure/demo/parameters",
+        "the end of the demo",
+        "document.body.innerText.includes('no new data')",
+    )
+    .await;
+    browser
+        .evaluate("document.querySelector('.ranges .free').click()")
+        .await;
+    let set = "(() => { \
+        const [from, to] = [document.getElementById('range-from'), document.getElementById('range-to')]; \
+        const end = Date.parse(to.value + 'Z') / 1000; \
+        const field = (seconds) => new Date(1000 * seconds).toISOString().slice(0, 19); \
+        [from.value, to.value] = [field(end - 40), field(end - 20)]; \
+        document.getElementById('free-range').requestSubmit(); \
+        return end; })()";
+    let end = browser.evaluate(set).await.as_f64().unwrap();
+    browser
+        .wait(
+            "the range",
+            "document.querySelector('.range-text').textContent.endsWith('(20 s)')",
+        )
+        .await;
+    assert_eq!(
+        browser.evaluate("location.hash").await,
+        format!(
+            "#/structure/demo/parameters?from={:.3}&to={:.3}",
+            end - 40.0,
+            end - 20.0
+        )
+    );
+    let csv = "(async () => { const link = document.querySelector('#free-range a'); link.addEventListener('click', (event) => event.preventDefault()); link.click(); return (await (await fetch(link.href)).text()).trim().split('\\n'); })()";
+    let lines = browser.evaluate(csv).await;
+    let lines = lines.as_array().unwrap();
+    for storey in 1..=5 {
+        let column = format!("parameter/storey-{storey}.mean");
+        assert!(lines[0].as_str().unwrap().contains(&column), "{}", lines[0]);
+    }
+    // Ten values of each parameter per second.
+    assert!((195..=205).contains(&(lines.len() - 1)), "{}", lines.len());
+    let swapped = "(() => { const [from, to] = [document.getElementById('range-from'), document.getElementById('range-to')]; [from.value, to.value] = [to.value, from.value]; document.getElementById('free-range').requestSubmit(); return document.querySelector('#free-range .told').textContent; })()";
+    assert_eq!(
+        browser.evaluate(swapped).await,
+        "The end must be after the start."
+    );
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn axe_finds_no_obstacle_on_any_page() {
+    let Some(axe) = axe_or_skip() else {
+        return;
+    };
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let axe = std::fs::read_to_string(axe).unwrap();
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    for scheme in ["light", "dark"] {
+        browser.prefer(scheme).await;
+        open(
+            &mut browser,
+            &demo,
+            "#/",
+            "an alarm",
+            "document.querySelector('.structure-card[data-level=alarm]')",
+        )
+        .await;
+        browser.evaluate(&format!("{axe}; true")).await;
+        for (hash, content) in [
+            ("#/", ".structure-card"),
+            ("#/alerts", ".alert"),
+            ("#/structure/demo", ".drawing"),
+            (
+                "#/structure/demo/parameters",
+                "#plot-parameter-storey-1 canvas",
+            ),
+            ("#/structure/demo/model", "#group-agreement canvas"),
+            ("#/structure/demo/sensors", "table.sensors td"),
+            ("#/structure/demo/events", "table.events td"),
+            ("#/structure/demo/settings", "table.services td"),
+        ] {
+            browser.evaluate(&format!("location.hash = '{hash}'")).await;
+            browser
+                .wait(hash, &format!("document.querySelector('{content}') && (document.querySelector('{content}').scrollIntoView(), true)"))
+                .await;
+            let found = "axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target.join(' ')).join(', ')}`))";
+            let found = browser.evaluate(found).await;
+            assert_eq!(found, json!([]), "{hash}, {scheme}");
+        }
+    }
+}

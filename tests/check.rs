@@ -1,0 +1,131 @@
+//! Tests of the built binary with `spandrel check`: exit codes and output streams.
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+fn check(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .arg("check")
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn example(name: &str) -> String {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name);
+    path.to_str().unwrap().to_owned()
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).unwrap()
+}
+
+#[test]
+fn examples_are_checked_with_exit_code_0_and_nothing_on_standard_error() {
+    for name in [
+        "demo.toml",
+        "output-only.toml",
+        "noisy.toml",
+        "matrices.toml",
+        "fifty-storeys.toml",
+    ] {
+        let output = check(&[&example(name)]);
+        assert_eq!(
+            output.status.code(),
+            Some(0),
+            "{name}: {}",
+            text(&output.stderr)
+        );
+        assert_eq!(text(&output.stderr), "", "{name}");
+        assert!(
+            text(&output.stdout).contains("natural modes as designed"),
+            "{name}: {}",
+            text(&output.stdout)
+        );
+    }
+}
+
+#[test]
+fn a_structure_without_parameters_reports_only_motion_and_levels() {
+    for (name, adapted) in [
+        ("fifty-storeys.toml", "yes"),
+        ("fifty-storeys-wind.toml", "yes"),
+        ("sixty-storeys.toml", "no"),
+    ] {
+        let output = check(&[&example(name)]);
+        let page = text(&output.stdout);
+        assert!(
+            page.contains("no parameters: the filter follows the motion"),
+            "{name}: {page}"
+        );
+        assert!(
+            page.contains(&format!("  {adapted}  ")) && !page.contains("warning: "),
+            "{name}: {page}"
+        );
+    }
+}
+
+#[test]
+fn warnings_are_not_failures() {
+    let output = check(&[&example("output-only.toml")]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let page = text(&output.stdout);
+    assert!(
+        page.contains("\nwarning: storey-1 depends on the level and the spectrum of ground"),
+        "{page}"
+    );
+}
+
+#[test]
+fn json_is_one_object_for_the_requested_length() {
+    let output = check(&[&example("demo.toml"), "--after", "120", "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(
+        (&json["structure"], &json["after_s"]),
+        (&"demo".into(), &120.0.into())
+    );
+}
+
+#[test]
+fn a_bad_file_ends_with_2_and_shows_line_and_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bad.toml");
+    let file = std::fs::read_to_string(example("demo.toml")).unwrap();
+    std::fs::write(&path, file.replace("half-life-s = 10", "half-live-s = 10")).unwrap();
+    let line = file
+        .lines()
+        .position(|line| line.starts_with("half-life-s"))
+        .unwrap()
+        + 1;
+    let output = check(&[path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
+    let message = text(&output.stderr);
+    assert!(
+        message.contains(&format!("bad.toml:{line}: filter.half-live-s")),
+        "{message}"
+    );
+    assert!(
+        message.contains("did you mean \"half-life-s\"?"),
+        "{message}"
+    );
+    assert_eq!(text(&output.stdout), "");
+}
+
+#[test]
+fn a_missing_file_and_a_bad_length_end_with_2() {
+    let missing = check(&["no-such-file.toml"]);
+    assert_eq!(missing.status.code(), Some(2));
+    assert!(
+        text(&missing.stderr).contains("no-such-file.toml"),
+        "{}",
+        text(&missing.stderr)
+    );
+    assert_eq!(
+        check(&[&example("demo.toml"), "--after", "-1"])
+            .status
+            .code(),
+        Some(2)
+    );
+}

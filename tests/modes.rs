@@ -1,0 +1,285 @@
+//! Tests of the built binary with `spandrel modes`: modes, machines and dead channels of recordings,
+//! the report, and wrong input.
+
+use crate::support::records_or_skip;
+use serde_json::Value;
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const RATE_HZ: f64 = 50.0;
+const MODES_HZ: [f64; 2] = [1.5, 4.0];
+const DAMPING: f64 = 0.02;
+const MACHINE_HZ: f64 = 9.0;
+
+fn modes(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .arg("modes")
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+#[track_caller]
+fn done(arguments: &[&str]) -> String {
+    let output = modes(arguments);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[track_caller]
+fn json(arguments: &[&str]) -> Value {
+    serde_json::from_str(&done(arguments)).unwrap()
+}
+
+/// Returns the message of a run that ends with this exit code.
+#[track_caller]
+fn failed(code: i32, arguments: &[&str]) -> String {
+    let output = modes(arguments);
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{message}");
+    message
+}
+
+/// Samples without correlation between −1 and 1: a linear congruential generator.
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+}
+
+/// Writes a table with the channels `a` and `b`, which move with two resonances and a sine, and the
+/// constant channel `dead`.
+fn record(path: &Path, length_s: f64, motion: f64, machine: f64) -> String {
+    let mut noise = Noise(7);
+    let mut states = [[0.0; 2]; 2];
+    let mut text = "time [s],a,b,dead\n".to_owned();
+    for step in 0..(length_s * RATE_HZ) as usize {
+        let time_s = step as f64 / RATE_HZ;
+        for (state, frequency_hz) in states.iter_mut().zip(MODES_HZ) {
+            let rotation = TAU * frequency_hz / RATE_HZ;
+            let radius = (-DAMPING * rotation).exp();
+            let angle = rotation * (1.0 - DAMPING * DAMPING).sqrt();
+            let next = 2.0 * radius * angle.cos() * state[0] - radius * radius * state[1];
+            *state = [next + noise.next(), state[0]];
+        }
+        let [first, second] = states.map(|state| motion * state[0]);
+        let sine = machine * (TAU * MACHINE_HZ * time_s).sin();
+        let a = first + second + sine + 0.1 * noise.next();
+        let b = 0.5 * first - second + 0.7 * sine + 0.1 * noise.next();
+        writeln!(text, "{time_s},{a},{b},0.25").unwrap();
+    }
+    std::fs::write(path, text).unwrap();
+    path.display().to_string()
+}
+
+fn sources<'v>(found: &'v Value, source: &str) -> Vec<&'v Value> {
+    let all = found["modes"].as_array().unwrap().iter();
+    all.filter(|mode| mode["source"] == source).collect()
+}
+
+fn nearest<'v>(modes: &[&'v Value], frequency_hz: f64) -> &'v Value {
+    let distance = |mode: &Value| (mode["frequency_hz"].as_f64().unwrap() - frequency_hz).abs();
+    modes
+        .iter()
+        .min_by(|one, other| distance(one).total_cmp(&distance(other)))
+        .unwrap()
+}
+
+#[test]
+fn modes_machine_and_dead_channel_of_a_record_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = record(&folder.path().join("record.csv"), 900.0, 1.0, 3.0);
+    let found = json(&[&record, "--json"]);
+    assert_eq!(found["channels"], serde_json::json!(["a", "b"]));
+    assert_eq!(found["left_out"][0]["channel"], "dead");
+    assert_eq!(found["left_out"][0]["reason"], "constant");
+    for (frequency_hz, of_b) in MODES_HZ.into_iter().zip([0.5, -1.0]) {
+        let mode = nearest(&sources(&found, "mode"), frequency_hz);
+        let number = |name: &str| mode[name].as_f64().unwrap();
+        assert!(
+            (number("frequency_hz") / frequency_hz - 1.0).abs() < 0.01,
+            "{mode}"
+        );
+        assert!(
+            (number("damping") - DAMPING).abs() < 4.0 * number("damping_std"),
+            "{mode}"
+        );
+        // The value at `b` relative to `a`, whatever channel has 1.
+        let at = |channel: usize| mode["shape"][channel]["real"].as_f64().unwrap();
+        assert!((at(1) / at(0) - of_b).abs() < 0.1, "{mode}");
+    }
+    let machines = sources(&found, "machine");
+    assert_eq!(machines.len(), 1, "{machines:?}");
+    let machine_hz = machines[0]["frequency_hz"].as_f64().unwrap();
+    assert!((machine_hz - MACHINE_HZ).abs() < 0.01, "{machine_hz}");
+    let near_machine = nearest(&sources(&found, "mode"), MACHINE_HZ)["frequency_hz"].as_f64();
+    assert!((near_machine.unwrap() - MACHINE_HZ).abs() > 0.1);
+
+    let table = done(&[&record]);
+    assert!(table.contains("left out: dead (constant)"), "{table}");
+    assert!(table.contains("a machine, not a mode"), "{table}");
+}
+
+#[test]
+fn report_contains_both_diagrams_and_the_modes_of_each_epoch() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = record(&folder.path().join("record.csv"), 500.0, 1.0, 0.0);
+    let report = folder.path().join("report");
+    let csv = folder.path().join("modes.csv").display().to_string();
+    let found = json(&[
+        &record,
+        "--epoch",
+        "120",
+        "--json",
+        "--csv",
+        &csv,
+        "--report",
+        report.to_str().unwrap(),
+    ]);
+    let epochs = found["epochs"].as_array().unwrap();
+    assert!(epochs.len() >= 3, "{}", epochs.len());
+    for name in ["stabilisation.svg", "singular-values.svg"] {
+        let diagram = std::fs::read_to_string(report.join(name)).unwrap();
+        assert!(
+            diagram.starts_with("<svg") && diagram.contains("frequency (Hz)"),
+            "{name}"
+        );
+    }
+    let of_file: Value =
+        serde_json::from_str(&std::fs::read_to_string(report.join("modes.json")).unwrap()).unwrap();
+    assert_eq!(of_file, found);
+    let rows: usize = epochs
+        .iter()
+        .map(|epoch| epoch["modes"].as_array().unwrap().len())
+        .sum();
+    let table = std::fs::read_to_string(csv).unwrap();
+    assert_eq!(table.lines().count(), 1 + rows);
+    assert_eq!(
+        table,
+        std::fs::read_to_string(report.join("modes.csv")).unwrap()
+    );
+}
+
+#[test]
+fn wrong_recordings_and_options_are_bad_input() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = record(&folder.path().join("good.csv"), 300.0, 1.0, 0.0);
+    let short = record(&folder.path().join("short.csv"), 10.0, 1.0, 0.0);
+    let constant = folder.path().join("constant.csv");
+    let rows: String = (0..5000)
+        .map(|step| format!("{},1,2\n", step as f64 / RATE_HZ))
+        .collect();
+    std::fs::write(&constant, format!("time,a,b\n{rows}")).unwrap();
+    let constant = constant.display().to_string();
+    // The two channels of a folder with two rates.
+    let unequal = folder.path().join("unequal");
+    std::fs::create_dir(&unequal).unwrap();
+    for (name, rate_hz) in [("slow", 20.0), ("fast", 50.0)] {
+        let rows: String = (0..5000)
+            .map(|step| format!("{},{}\n", f64::from(step) / rate_hz, step % 7))
+            .collect();
+        std::fs::write(
+            unequal.join(format!("{name}.csv")),
+            format!("time,{name}\n{rows}"),
+        )
+        .unwrap();
+    }
+    let unequal = unequal.display().to_string();
+    let cases: [(&[&str], &str); 11] = [
+        (&[&short], "is 10.00 s long, must be at least"),
+        (&[&good, "--epoch", "10"], "must be at least"),
+        (&[&good, "--epoch", "900"], "no epoch of 900.0 s"),
+        (
+            &[&good, "--channels", "a"],
+            "1 channels with samples that vary, must be at least 2",
+        ),
+        (&[&constant], "left out: a (constant), b (constant)"),
+        (&[&unequal], "Hz"),
+        (
+            &[&good, "--band", "0..30"],
+            "must increase, start at 0 Hz or above, and end at most at 20 Hz",
+        ),
+        (&[&good, "--band", "12..3"], "two increasing frequencies"),
+        (
+            &[&good, "--without", "roof"],
+            "no channel `roof`, must be one of: a, b, dead",
+        ),
+        (
+            &[&good, "--references", "dead"],
+            "no channel `dead`, must be one of: a, b",
+        ),
+        (&["absent.csv"], "absent.csv"),
+    ];
+    for (arguments, expected) in cases {
+        let message = failed(2, arguments);
+        assert!(message.contains(expected), "{arguments:?}: {message}");
+    }
+    let kept = std::fs::read(&good).unwrap();
+    assert!(failed(2, &[&good, "--csv", &good]).contains("would be overwritten"));
+    assert_eq!(std::fs::read(&good).unwrap(), kept);
+}
+
+#[test]
+fn record_with_a_machine_alone_has_no_mode() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = record(&folder.path().join("record.csv"), 300.0, 0.0, 1.0);
+    let message = failed(1, &[&record, "--order", "2", "--band", "0..20"]);
+    assert!(message.contains("no mode found"), "{message}");
+}
+
+#[test]
+fn modes_of_the_z24_bridge_are_the_published_ones() {
+    for (name, published_hz) in [
+        ("ref1-setup1", [3.92, 5.12, 9.93, 10.52]),
+        ("settle80mm-setup1", [3.76, 5.01, 9.37, 9.90]),
+    ] {
+        let file = format!("z24-damage-test/{name}.csv.gz");
+        let Some(record) = records_or_skip(&file) else {
+            return;
+        };
+        let record = record.display().to_string();
+        let found = json(&[
+            &record, "--rate", "100", "--epoch", "160", "--band", "0..20", "--json",
+        ]);
+        let modes = sources(&found, "mode");
+        let mode = |frequency_hz: f64| nearest(&modes, frequency_hz)["frequency_hz"].as_f64();
+        assert!((mode(published_hz[0]).unwrap() - published_hz[0]).abs() < 0.03);
+        for frequency_hz in published_hz {
+            let found_hz = mode(frequency_hz).unwrap();
+            assert!(
+                (found_hz / frequency_hz - 1.0).abs() < 0.03,
+                "{frequency_hz}: {found_hz}"
+            );
+        }
+    }
+}
+
+#[test]
+fn dead_sensors_of_a_floating_bridge_are_named() {
+    let file = "bergsoysund-bridge/NTNU142M-2014-11-16_11-02-45_low.mat";
+    let Some(record) = records_or_skip(file) else {
+        return;
+    };
+    let found = json(&[record.to_str().unwrap(), "--json"]);
+    let left_out = found["left_out"].as_array().unwrap();
+    assert_eq!(left_out.len(), 6, "{left_out:?}"); // three directions of 6S and 6N
+    for channel in left_out {
+        assert!(
+            channel["channel"].as_str().unwrap().contains('6'),
+            "{channel}"
+        );
+        assert_eq!(channel["reason"], "no sample");
+    }
+}
