@@ -47,6 +47,7 @@ mod notify;
 mod open;
 mod outliers;
 mod overload;
+mod package;
 mod pages;
 mod prometheus;
 mod python;

@@ -1,8 +1,10 @@
 //! Neighbours that are slow, wrong or hostile: others get in, the log names them, and the log stays
 //! small.
 
-use crate::support::{DEADLINE, Drops, Process, Site, five_storeys, spandrel, two_storeys};
-use spandrel_bus::Service;
+use crate::support::{
+    DEADLINE, Drops, Process, Sensors, Site, five_storeys, put_raw, spandrel, two_storeys,
+};
+use spandrel_bus::{Bus, BusConfig, Mode, Name, Service};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 
@@ -208,4 +210,65 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     }
     readers.into_iter().for_each(Process::kill);
     services.stop().expect_code(0);
+}
+
+/// Regression: any program of the machine could publish estimates and alerts in the name of the
+/// services.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_isolated_run_accepts_samples_but_no_forged_results() {
+    const ROWS: usize = 400;
+    let site = Site::with(&two_storeys(""));
+    let keys = site.keys();
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, "isolated = true\n").unwrap();
+    let (services, _) = with_page(&site, &["--config", configuration.to_str().unwrap()]);
+    let neighbour = BusConfig {
+        root: keys.root().to_string(),
+        mode: Mode::Client, // peers would connect to each other
+        connect: vec![site.endpoint().to_owned()],
+        ..BusConfig::default()
+    };
+    let forger = Bus::open(&neighbour).await.unwrap();
+    let viewer = Bus::open(&neighbour).await.unwrap();
+    site.wait_for_services(&viewer).await;
+    let drops = Drops::watch(&viewer, &keys).await;
+    let alert = keys.alert(&Name::new("storey-1").unwrap());
+    let alerts = viewer.session().declare_subscriber(&alert).await.unwrap();
+    for key in [&keys.frames(), &keys.estimates(), &alert] {
+        put_raw(&forger, key, "application/json", b"{}".to_vec()).await;
+        services.wait_for_log(&format!("why=\"Put on {key}\""));
+    }
+    let record = site.simulate(ROWS as f64 / 100.0);
+    let mut sensors = Sensors::start(&forger, &keys, site.structure(), &record).await;
+    sensors.put(0..ROWS).await;
+    for service in [Service::Identify, Service::Alert] {
+        let status = drops.when_done(service, ROWS as u64).await;
+        assert!(status.drops.is_empty(), "{service:?}: {:?}", status.drops);
+    }
+    assert!(
+        alerts.try_recv().unwrap().is_none(),
+        "a forged alert was heard"
+    );
+    services.stop().expect_code(0);
+}
+
+/// An isolated process would silently keep out the other services that it needs.
+#[test]
+fn only_a_process_with_all_services_can_be_isolated() {
+    let site = Site::with(&two_storeys(""));
+    let with = |subcommand: &str, variables: &[(&str, &str)]| {
+        let mut command = site.listening(subcommand);
+        command.env("SPANDREL_ISOLATED", "true");
+        command.envs(variables.iter().copied());
+        Process::start(&mut command).wait().expect_code(2).stderr
+    };
+    let ingest = with("ingest", &[]);
+    assert!(
+        ingest.contains("isolated = true: `spandrel ingest`"),
+        "{ingest}"
+    );
+    let client = with("run", &[("SPANDREL_BUS__MODE", "client")]);
+    assert!(client.contains("isolated = true: a client"), "{client}");
+    let file = with("run", &[("SPANDREL_BUS__CONFIG_FILE", "zenoh.json5")]);
+    assert!(file.contains("zenoh.json5 states the rights"), "{file}");
 }

@@ -19,6 +19,7 @@
 //! - [`rights()`]: what each role may do, and on which keys
 //! - [`SiteFolder`]: the authority of a site and the certificates it has issued, as files
 //! - [`router_file()`]: the configuration of the router
+//! - [`isolation`]: the access control of a process that runs all services of a machine
 //!
 //! `spandrel-bus` checks certificates when it opens a session; this crate does not.
 
@@ -32,5 +33,5 @@ mod site_folder;
 pub use error::AccessError;
 pub use rights::{Right, is_of_node, rights};
 pub use role::{Party, PartyError, Role, Scope};
-pub use router_file::{RouterPlan, keys_of, router_file};
+pub use router_file::{RouterPlan, isolation, keys_of, router_file};
 pub use site_folder::{Existing, Issued, SiteFolder};

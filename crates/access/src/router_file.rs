@@ -179,6 +179,36 @@ fn access_control(root: &Name, router: &Party, parties: &[Party]) -> Value {
     })
 }
 
+/// Name of the rules and of the subject for all processes around an isolated one.
+const NEIGHBOURS: &str = "neighbours";
+
+/// Returns Zenoh's `access_control` for a process that contains all services of a machine.
+///
+/// Every other process may then do what instruments, viewers and operators do, for all structures
+/// and nodes. It can publish samples, read what is displayed, and acknowledge alerts. It can
+/// neither publish what the services exchange (frames, estimates, alerts) nor answer in their name.
+/// Zenoh does not apply these rules within the process.
+#[must_use]
+pub fn isolation(root: &Name) -> Value {
+    let allowed = [rights(Role::Gateway), rights(Role::Operator)].concat();
+    let of_right = |right| {
+        let keys = keys_of_families(root, &families_of(&allowed, right), None, |_| None);
+        rules_of_right(NEIGHBOURS, right, &keys)
+    };
+    let rules: Vec<Rule> = std::iter::once(known_to_all(root))
+        .chain(Right::ALL.into_iter().flat_map(of_right))
+        .collect();
+    let ids: Vec<&str> = rules.iter().map(|rule| rule.id.as_str()).collect();
+    json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules.iter().map(Rule::json).collect::<Vec<_>>(),
+        // A subject without properties matches every process.
+        "subjects": [{ "id": NEIGHBOURS }],
+        "policies": [{ "id": NEIGHBOURS, "rules": ids, "subjects": [NEIGHBOURS] }],
+    })
+}
+
 const KNOWN_TO_ALL: &str = "who is there to read and to answer";
 
 /// Returns the rule that reveals subscribers and queryables to all parties.
@@ -243,40 +273,52 @@ fn messages(right: Right) -> (Vec<&'static str>, Vec<&'static str>) {
 }
 
 fn rules_of(root: &Name, party: &Party) -> Vec<Rule> {
-    let mut rules = Vec::new();
-    for right in Right::ALL {
-        let keys = keys_of(root, party, right);
-        if keys.is_empty() {
-            continue;
-        }
-        let (arriving, leaving) = messages(right);
-        for (flow, messages) in [("ingress", arriving), ("egress", leaving)] {
-            if !messages.is_empty() {
-                let id = format!("{} {} {flow}", party.common_name(), right.as_str());
-                rules.push(Rule {
-                    id,
-                    messages,
-                    flows: vec![flow],
-                    keys: keys.clone(),
-                });
-            }
-        }
+    let name = party.common_name();
+    let of_right = |right| rules_of_right(&name, right, &keys_of(root, party, right));
+    Right::ALL.into_iter().flat_map(of_right).collect()
+}
+
+/// Returns the rules for one right on these keys, at most one for each direction.
+fn rules_of_right(who: &str, right: Right, keys: &[String]) -> Vec<Rule> {
+    if keys.is_empty() {
+        return Vec::new();
     }
-    rules
+    let (arriving, leaving) = messages(right);
+    [("ingress", arriving), ("egress", leaving)]
+        .into_iter()
+        .filter(|(_, messages)| !messages.is_empty())
+        .map(|(flow, messages)| Rule {
+            id: format!("{who} {} {flow}", right.as_str()),
+            messages,
+            flows: vec![flow],
+            keys: keys.to_vec(),
+        })
+        .collect()
 }
 
 /// Returns the key expressions on which a party has a right.
 #[must_use]
 pub fn keys_of(root: &Name, party: &Party, right: Right) -> Vec<String> {
-    let families: Vec<KeyFamily> = rights(party.role())
-        .into_iter()
-        .filter(|(of, _)| *of == right)
-        .map(|(_, family)| family)
-        .collect();
-    let structure = party.structure();
+    let families = families_of(&rights(party.role()), right);
+    let node = |family| party.node().filter(|_| is_of_node(right, family));
+    keys_of_families(root, &families, party.structure(), node)
+}
+
+fn families_of(rights: &[(Right, KeyFamily)], right: Right) -> Vec<KeyFamily> {
+    let of_right = rights.iter().filter(|(of, _)| *of == right);
+    of_right.map(|(_, family)| *family).collect()
+}
+
+/// Returns the key expressions of key families. `None` for the structure or the node means all.
+fn keys_of_families<'n>(
+    root: &Name,
+    families: &[KeyFamily],
+    structure: Option<&Name>,
+    node: impl Fn(KeyFamily) -> Option<&'n Name>,
+) -> Vec<String> {
     let mut keys = BTreeSet::new();
-    for family in &families {
-        let node = party.node().filter(|_| is_of_node(right, *family));
+    for family in families {
+        let node = node(*family);
         keys.insert(family.expression(root, structure, node));
         // A party that reads all services uses one key expression for them. No key expression of a
         // single service contains it.
@@ -442,5 +484,29 @@ mod tests {
         let alone = config(&written(&listen, &[], &["router.north", "viewer.ada"]).unwrap());
         assert_eq!(names(&alone), [json!(["viewer.ada"])]);
         assert!(alone.get("connect").is_none());
+    }
+
+    #[test]
+    fn neighbours_of_an_isolated_process_publish_only_what_instruments_and_operators_do() {
+        let config = isolation(&root());
+        let put: BTreeSet<&str> = config["rules"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter(|rule| rule["id"] == "neighbours put ingress")
+            .flat_map(|rule| rule["key_exprs"].as_array().unwrap())
+            .map(|key| key.as_str().unwrap())
+            .collect();
+        let expected = [
+            "spandrel/*/acknowledge/*",
+            "spandrel/*/annotation",
+            "spandrel/*/condition/*",
+            "spandrel/*/event",
+            "spandrel/*/maintenance",
+            "spandrel/*/sensor/*/samples",
+            "spandrel/*/status/dashboard",
+            "spandrel/*/status/feed",
+        ];
+        assert_eq!(put, BTreeSet::from(expected));
     }
 }

@@ -104,6 +104,10 @@ pub struct BusConfig {
     /// A Zenoh configuration file (JSON5), for access control and all other settings. Non-empty
     /// settings of this struct override it, except `mode`.
     pub config_file: Option<PathBuf>,
+    /// Zenoh's `access_control`: what processes may do that connect to this one. `None`:
+    /// everything, or what the configuration file states.
+    #[serde(skip)]
+    pub access_control: Option<Value>,
 }
 
 impl Default for BusConfig {
@@ -118,6 +122,7 @@ impl Default for BusConfig {
             queue: const { NonZeroUsize::new(256).unwrap() },
             tls: None,
             config_file: None,
+            access_control: None,
         }
     }
 }
@@ -193,6 +198,9 @@ impl BusConfig {
             set("transport/link/tls/enable_mtls", true.into())?;
             set("transport/link/tls/verify_name_on_connect", true.into())?;
             set("transport/link/tls/close_link_on_expiration", true.into())?;
+        }
+        if let Some(rules) = &self.access_control {
+            set("access_control", rules.clone())?;
         }
         protection::check(&mut config)?;
         Ok(config)

@@ -37,7 +37,7 @@ const SESSIONS: &str = "zenoh_transport::unicast::establishment::accept";
 const BLOCKED: &str = "zenoh_transport::unicast::universal::tx";
 /// Connections that Zenoh closes because the peer sends nothing, not even a sign of life.
 const EXPIRED: &str = "zenoh_transport::unicast::universal::link";
-/// Decisions on access, in a router. The permitted ones are among them.
+/// Decisions on access, in a router and in an isolated process. The permitted ones are among them.
 const DECISIONS: &str = "zenoh::net::routing::interceptor::access_control";
 
 /// What a process reports.
@@ -45,7 +45,7 @@ const DECISIONS: &str = "zenoh::net::routing::interceptor::access_control";
 pub enum Scope {
     /// Failed handshakes, and peers that stopped reading.
     Peers,
-    /// The same, and what the roles of a router do not permit.
+    /// The same, and what a router or an isolated process does not permit.
     Router,
 }
 

@@ -210,9 +210,8 @@ impl Command {
     /// Returns what Zenoh may refuse to others in this process. `None` if nobody connects to it.
     pub fn audited(&self) -> Option<Scope> {
         match self {
-            Self::Router(_) => Some(Scope::Router),
+            Self::Router(_) | Self::Run(_) => Some(Scope::Router),
             Self::Demo(_)
-            | Self::Run(_)
             | Self::Feed(_)
             | Self::Ingest(_)
             | Self::Identify(_)

@@ -132,6 +132,12 @@ pub enum AppError {
         /// Name of the structure.
         structure: String,
     },
+    /// The process cannot be isolated.
+    #[error("isolated = true: {why}")]
+    Isolated {
+        /// What prevents it.
+        why: String,
+    },
     /// The structure has no node with this name.
     #[error("structure {structure} has no node `{name}`; its nodes: {known}")]
     UnknownNode {
@@ -581,6 +587,7 @@ impl AppError {
             | Self::TooSparse { .. }
             | Self::NoSuchNode { .. }
             | Self::NoStandbyOfNodes { .. }
+            | Self::Isolated { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NothingToJudge

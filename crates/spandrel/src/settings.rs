@@ -25,6 +25,8 @@ const PREFIX: &str = "SPANDREL";
 pub struct Settings {
     /// Settings for joining the bus.
     pub bus: BusConfig,
+    /// Whether `spandrel run` refuses what only its own services may do.
+    pub isolated: bool,
     /// Structure files. Paths in a configuration file are relative to that file.
     pub structures: Vec<PathBuf>,
     /// Baseline file of each structure by its name. Paths in a configuration file are relative to

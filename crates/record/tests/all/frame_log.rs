@@ -75,7 +75,7 @@ fn a_killed_writer_loses_no_acknowledged_frame() {
         let mut child = Command::new(std::env::current_exe().unwrap())
             .args([
                 "--exact",
-                "writes_until_it_is_killed",
+                "frame_log::writes_until_it_is_killed",
                 "--ignored",
                 "--nocapture",
             ])

@@ -10,7 +10,9 @@ use crate::settings::Settings;
 use crate::state::State;
 use crate::supervision::{Hangups, feed_watchdog, keep_folders, tell_systemd};
 use sd_notify::NotifyState;
-use spandrel_bus::{Bus, Keys, Service};
+use serde_json::Value;
+use spandrel_access::isolation;
+use spandrel_bus::{Bus, Keys, Mode, Name, Service};
 use spandrel_dashboard::PageSettings;
 use spandrel_feed::{FeedConfig, FeedError, WhenEnded};
 use spandrel_history::Address;
@@ -131,6 +133,9 @@ impl Plan {
         let has_modal = |watched: &Watched| watched.structure.modal().is_some();
         if services == Services::MODES && !watched.iter().any(has_modal) {
             return Err(AppError::NothingToFollow);
+        }
+        if settings.isolated {
+            settings.bus.access_control = Some(isolation_of(&settings, services, &watched)?);
         }
         let database = if services.has(Service::History) {
             settings.history.address()?
@@ -311,6 +316,40 @@ impl Plan {
         }
         Ok(running)
     }
+}
+
+/// Returns the access control of an isolated process.
+///
+/// # Errors
+/// Services of other processes would be refused, or the access control would have no effect.
+fn isolation_of(
+    settings: &Settings,
+    services: Services,
+    watched: &[Watched],
+) -> Result<Value, AppError> {
+    let refuse = |why: String| Err(AppError::Isolated { why });
+    if services != Services::ALL {
+        let name = services.name();
+        return refuse(format!(
+            "`spandrel {name}` exchanges its results with other processes; only `spandrel run` \
+             contains all services"
+        ));
+    }
+    if settings.bus.mode == Mode::Client {
+        return refuse("a client accepts no connections; its router states the rights".to_owned());
+    }
+    if let Some(file) = &settings.bus.config_file {
+        let file = file.display();
+        return refuse(format!("{file} states the rights; omit one of the two"));
+    }
+    let is_fused = |watched: &&Watched| watched.structure.fusion().is_some();
+    if let Some(fused) = watched.iter().find(is_fused) {
+        let name = fused.structure.name();
+        return refuse(format!(
+            "the nodes of {name} identify for themselves, in other processes; use a router"
+        ));
+    }
+    Ok(isolation(&Name::new(&*settings.bus.root)?))
 }
 
 /// Checks the sources of the configuration against the structures.
