@@ -1,5 +1,6 @@
 //! Tests of the built binary with `spandrel check`: exit codes and output streams.
 
+use crate::support::{Process, Site, five_storeys, spandrel};
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -128,4 +129,38 @@ fn a_missing_file_and_a_bad_length_end_with_2() {
             .code(),
         Some(2)
     );
+}
+
+#[test]
+fn live_sensors_are_checked_like_those_of_a_record() {
+    let site = Site::of(&five_storeys());
+    let services = site.run();
+    let mut record = site.simulate(120.0);
+    let rows = record.len();
+    record
+        .change("floor-3", 0..rows, |_, value| -value)
+        .save_as("inverted.csv");
+    let mut offline = spandrel("check");
+    offline.arg(site.structure_file()).arg("--json");
+    offline.arg("--record").arg(record.path());
+    let offline = Process::start(&mut offline).wait().expect_code(0).stdout;
+    let mut live = site.connecting("check");
+    let live = Process::start(live.args(["--json", "--live", "120"]));
+    live.wait_for_log("waiting for frames");
+    site.replay(&record, "max").wait().expect_code(0);
+    assert_eq!(live.wait().expect_code(0).stdout, offline);
+    assert!(offline.contains("opposite sign"), "{offline}");
+    services.stop().expect_code(0);
+}
+
+#[test]
+fn a_live_check_without_sensors_says_what_to_look_at() {
+    let site = Site::of(&five_storeys());
+    let services = site.run();
+    let mut live = site.connecting("check");
+    let finished = Process::start(live.args(["--live", "60"])).wait();
+    let message = finished.expect_code(1).stderr;
+    let expected = "no frames of demo for 10 s, after 0 s of data";
+    assert!(message.contains(expected), "{message}");
+    services.stop().expect_code(0);
 }

@@ -184,13 +184,20 @@ const NEIGHBOURS: &str = "neighbours";
 
 /// Returns Zenoh's `access_control` for a process that contains all services of a machine.
 ///
-/// Every other process may then do what instruments, viewers and operators do, for all structures
-/// and nodes. It can publish samples, read what is displayed, and acknowledge alerts. It can
-/// neither publish what the services exchange (frames, estimates, alerts) nor answer in their name.
-/// Zenoh does not apply these rules within the process.
+/// Every other process may then read everything, and do what instruments and operators do, for all
+/// structures and nodes. It can publish samples and acknowledge alerts. It can neither publish what
+/// the services exchange (frames, estimates, alerts) nor answer in their name. Zenoh does not apply
+/// these rules within the process.
 #[must_use]
 pub fn isolation(root: &Name) -> Value {
-    let allowed = [rights(Role::Gateway), rights(Role::Operator)].concat();
+    let read = [Right::Subscribe, Right::Query, Right::Watch]
+        .into_iter()
+        .flat_map(|right| KeyFamily::all().map(move |family| (right, family)));
+    let allowed: Vec<(Right, KeyFamily)> = [rights(Role::Gateway), rights(Role::Operator)]
+        .concat()
+        .into_iter()
+        .chain(read)
+        .collect();
     let of_right = |right| {
         let keys = keys_of_families(root, &families_of(&allowed, right), None, |_| None);
         rules_of_right(NEIGHBOURS, right, &keys)

@@ -1034,9 +1034,16 @@ pub struct CheckArguments {
     /// Recording with which to compare the sensors with each other instead; may be repeated.
     #[arg(long, value_name = "RECORD", conflicts_with = "after")]
     pub record: Vec<PathBuf>,
+    /// Compare the sensors with each other in SECONDS of live data instead.
+    ///
+    /// `spandrel run` or `spandrel ingest` must run, and the sensors must deliver.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, conflicts_with_all = ["after", "record"])]
+    pub live: Option<f64>,
     /// Print one JSON object instead of text.
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub bus: BusArguments,
 }
 
 #[derive(Debug, Args)]

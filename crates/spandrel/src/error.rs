@@ -132,6 +132,20 @@ pub enum AppError {
         /// Name of the structure.
         structure: String,
     },
+    /// A live check of the sensors receives no frames.
+    #[error(
+        "no frames of {structure} for {within_s} s, after {taken_s:.0} s of data; see whether \
+         spandrel run or spandrel ingest runs at the endpoint to connect to (--connect), and \
+         whether the sensors deliver (spandrel watch)"
+    )]
+    NoFrames {
+        /// Name of the structure.
+        structure: String,
+        /// Time without a frame (s).
+        within_s: u64,
+        /// Length of the data before (s).
+        taken_s: f64,
+    },
     /// The process cannot be isolated.
     #[error("isolated = true: {why}")]
     Isolated {
@@ -620,6 +634,7 @@ impl AppError {
             | Self::NotDelivered { .. }
             | Self::NoAnswerOfNotify { .. }
             | Self::NoAnswerOfJudge { .. }
+            | Self::NoFrames { .. }
             | Self::Io { .. }
             | Self::Panicked { .. } => false,
         }

@@ -52,6 +52,8 @@ impl Need {
         Right::Announce,
         KeyFamily::Live(Service::Dashboard),
     );
+    pub const READ_FRAMES: Self =
+        Self::new("subscribe to frames", Right::Subscribe, KeyFamily::Frames);
     pub const ACKNOWLEDGE: Self = Self::new("acknowledge", Right::Put, KeyFamily::Acknowledge);
     pub const MAINTAIN: Self = Self::new("mute notices", Right::Put, KeyFamily::Maintenance);
     pub const ANNOTATE: Self = Self::new("annotate", Right::Put, KeyFamily::Annotation);

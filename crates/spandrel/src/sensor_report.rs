@@ -1,4 +1,4 @@
-//! The report of `spandrel check --record`: whether the sensors agree with each other.
+//! The report of `spandrel check --record` and `--live`: whether the sensors agree with each other.
 
 use crate::error::AppError;
 use serde_json::json;
@@ -14,7 +14,7 @@ const GRAVITY: f64 = 9.806_65;
 /// Largest ratio of a factor to the factor between two units that suggests a wrong unit.
 const NEAR_UNIT: f64 = 1.3;
 
-/// What the recordings show of each sensor.
+/// What recordings or live data show of each sensor.
 #[derive(Debug)]
 pub struct SensorPage {
     structure: String,
@@ -35,13 +35,18 @@ impl SensorPage {
                 check.take(&row?.values);
             }
         }
+        Ok(Self::of_check(structure, &check))
+    }
+
+    /// Reports what a check of the structure's sensors has found.
+    pub fn of_check(structure: &Structure, check: &SensorCheck) -> Self {
         let names = structure
             .channels()
             .map(|channel| channel.name().to_owned());
-        Ok(Self {
+        Self {
             structure: structure.name().to_owned(),
             channels: names.zip(check.health().iter().copied()).collect(),
-        })
+        }
     }
 
     /// Returns the report as one JSON object.
@@ -105,8 +110,8 @@ impl fmt::Display for SensorPage {
         if self.channels.iter().any(unchecked) {
             writeln!(
                 f,
-                "unchecked: the recordings contain too little motion of the ground far below the \
-                 first natural frequency"
+                "unchecked: the data contain too little motion of the ground far below the first \
+                 natural frequency"
             )?;
         }
         Ok(())

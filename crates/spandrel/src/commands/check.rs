@@ -1,12 +1,20 @@
 //! `spandrel check`: reports what a structure and its sensors can identify, before any sensor is
-//! bought, and whether the sensors of a recording agree with each other.
+//! bought, and whether the sensors of a recording or of live data agree with each other.
 
+use super::watch::joining_by_default;
 use super::{print, progress};
 use crate::check_report::CheckPage;
 use crate::cli::CheckArguments;
 use crate::error::AppError;
+use crate::role_check::{self, Need, Work};
 use crate::sensor_report::SensorPage;
+use crate::services::block_on;
+use crate::settings::Settings;
+use spandrel_bus::{Block as _, Bus, Delivery, FrameBlock, Start, StreamSettings};
+use spandrel_faults::SensorCheck;
 use spandrel_structure::Structure;
+use std::time::Duration;
+use tracing::info;
 
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
@@ -14,14 +22,21 @@ const SEED: u64 = 1;
 /// Number of steps of the progress bar.
 const SHARES: u64 = 1000;
 
+/// Maximum time between two frames of a live check. The first one waits for the slowest sensor.
+const LONGEST_SILENCE: Duration = Duration::from_secs(10);
+
 /// Checks a structure file and prints the report. Warnings do not change the exit code.
 ///
 /// # Errors
-/// The file is not valid.
+/// The file is not valid, a recording cannot be read, or no live data arrive.
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
-    if !arguments.record.is_empty() {
-        let page = SensorPage::of_records(&structure, &arguments.record)?;
+    let sensors = match arguments.live {
+        Some(seconds) => Some(live(&structure, seconds, &arguments)?),
+        None if arguments.record.is_empty() => None,
+        None => Some(SensorPage::of_records(&structure, &arguments.record)?),
+    };
+    if let Some(page) = sensors {
         return print(&match arguments.json {
             true => page.json(),
             false => page.to_string(),
@@ -36,5 +51,58 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     print(&match arguments.json {
         true => page.json(),
         false => page.to_string(),
+    })
+}
+
+/// Compares the sensors in `seconds` of the frames that ingest publishes from now on.
+fn live(
+    structure: &Structure,
+    seconds: f64,
+    arguments: &CheckArguments,
+) -> Result<SensorPage, AppError> {
+    let config = joining_by_default(Settings::load(&arguments.bus)?.bus);
+    let keys = config.keys(structure.name())?;
+    let rate_hz = structure.sampling_rate_hz();
+    let wanted = (seconds * rate_hz).ceil() as u64;
+    block_on(async {
+        let bus = Bus::open(&config).await?;
+        let work = Work {
+            subcommand: "check",
+            needs: &[Need::READ_FRAMES],
+            structures: vec![structure.name()],
+            nodes: Vec::new(),
+        };
+        role_check::check(&bus, &config, &work).await?;
+        let settings = StreamSettings::new(Start::Now);
+        let frames = bus
+            .follow::<FrameBlock>(keys.frames(), keys.recording(), settings)
+            .await?;
+        info!(structure = structure.name(), "waiting for frames");
+        let bar = progress::bar("checking", Some(wanted));
+        let mut check = SensorCheck::new(structure);
+        let mut taken = 0;
+        while taken < wanted {
+            let delivery = frames.deliveries().recv_async();
+            match tokio::time::timeout(LONGEST_SILENCE, delivery).await {
+                Ok(Ok(Delivery::Block(block))) => {
+                    for (_, values) in block.iter() {
+                        check.take(values);
+                    }
+                    taken += block.count();
+                    bar.set_position(taken.min(wanted));
+                }
+                Ok(Ok(Delivery::Gap(_))) => check.forget_motion(),
+                Ok(Err(_)) | Err(_) => {
+                    return Err(AppError::NoFrames {
+                        structure: structure.name().to_owned(),
+                        within_s: LONGEST_SILENCE.as_secs(),
+                        taken_s: taken as f64 / rate_hz,
+                    });
+                }
+            }
+        }
+        bar.finish_and_clear();
+        bus.close().await?;
+        Ok(SensorPage::of_check(structure, &check))
     })
 }
