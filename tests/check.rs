@@ -1,6 +1,6 @@
 //! Tests of the built binary with `spandrel check`: exit codes and output streams.
 
-use crate::support::{Process, Site, five_storeys, spandrel};
+use crate::support::{Process, Site, five_storeys, spandrel, two_storeys};
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -150,6 +150,27 @@ fn live_sensors_are_checked_like_those_of_a_record() {
     site.replay(&record, "max").wait().expect_code(0);
     assert_eq!(live.wait().expect_code(0).stdout, offline);
     assert!(offline.contains("opposite sign"), "{offline}");
+    services.stop().expect_code(0);
+}
+
+/// Frames with fewer channels than the file states would be read beyond their end.
+#[test]
+fn a_live_check_with_another_file_names_the_difference() {
+    let site = Site::with(&two_storeys(""));
+    let services = site.run();
+    let text = std::fs::read_to_string(five_storeys()).unwrap();
+    let other = site.folder().join("other.toml");
+    std::fs::write(&other, text.replace("\"demo\"", "\"house\"")).unwrap();
+    let mut live = spandrel("check");
+    live.arg(&other).args(["-v", "--live", "10"]);
+    live.args(["--root", site.keys().root().as_str()]);
+    let live = Process::start(live.args(["--connect", site.endpoint()]));
+    live.wait_for_log("waiting for frames");
+    let record = site.simulate(4.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    let message = live.wait().expect_code(2).stderr;
+    let expected = "the frames of house have 4 channels at 100 Hz, the structure file states 6";
+    assert!(message.contains(expected), "{message}");
     services.stop().expect_code(0);
 }
 

@@ -146,6 +146,20 @@ pub enum AppError {
         /// Length of the data before (s).
         taken_s: f64,
     },
+    /// The live frames are those of another structure file.
+    #[error(
+        "the frames of {structure} have {} channels at {} Hz, the structure file states {} at {} \
+         Hz; use the file of the running services",
+        found.0, found.1, expected.0, expected.1
+    )]
+    OtherFrames {
+        /// Name of the structure.
+        structure: String,
+        /// Number of channels and sampling rate (Hz) of the frames.
+        found: (usize, f64),
+        /// Those of the structure file.
+        expected: (usize, f64),
+    },
     /// The process cannot be isolated.
     #[error("isolated = true: {why}")]
     Isolated {
@@ -602,6 +616,7 @@ impl AppError {
             | Self::NoSuchNode { .. }
             | Self::NoStandbyOfNodes { .. }
             | Self::Isolated { .. }
+            | Self::OtherFrames { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
             | Self::NothingToJudge

@@ -28,7 +28,7 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 /// Checks a structure file and prints the report. Warnings do not change the exit code.
 ///
 /// # Errors
-/// The file is not valid, a recording cannot be read, or no live data arrive.
+/// The file is not valid, a recording cannot be read, or no live data of this file arrive.
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
     let sensors = match arguments.live {
@@ -85,6 +85,15 @@ fn live(
             let delivery = frames.deliveries().recv_async();
             match tokio::time::timeout(LONGEST_SILENCE, delivery).await {
                 Ok(Ok(Delivery::Block(block))) => {
+                    let found = (usize::from(block.channels), block.sampling_rate_hz);
+                    let expected = (structure.channel_count(), rate_hz);
+                    if found != expected {
+                        return Err(AppError::OtherFrames {
+                            structure: structure.name().to_owned(),
+                            found,
+                            expected,
+                        });
+                    }
                     for (_, values) in block.iter() {
                         check.take(values);
                     }
