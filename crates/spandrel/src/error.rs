@@ -210,6 +210,15 @@ pub enum AppError {
         "the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…"
     )]
     NoHistory,
+    /// Identification or alerts were requested, but no structure has a model.
+    #[error(
+        "nothing for {service}: every structure has kind = \"modal\" and therefore no model; \
+         spandrel modes --live follows its natural frequencies"
+    )]
+    NothingToIdentify {
+        /// Name of the subcommand.
+        service: &'static str,
+    },
     /// No structure has a table `[judge]`.
     #[error("no structure has a table [judge]; --series judges a file instead")]
     NothingToJudge,
@@ -583,6 +592,7 @@ impl AppError {
             | Self::NoStandbyOfNodes { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
+            | Self::NothingToIdentify { .. }
             | Self::NothingToJudge
             | Self::NothingToFollow
             | Self::FilesOfModes { .. }

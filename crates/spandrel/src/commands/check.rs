@@ -5,6 +5,7 @@ use super::{print, progress};
 use crate::check_report::CheckPage;
 use crate::cli::CheckArguments;
 use crate::error::AppError;
+use crate::modal_check::ModalCheckPage;
 use crate::sensor_report::SensorPage;
 use spandrel_structure::Structure;
 
@@ -19,9 +20,17 @@ const SHARES: u64 = 1000;
 /// # Errors
 /// The file is not valid.
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
-    let structure = Structure::read(&arguments.structure)?;
     if !arguments.record.is_empty() {
+        let structure = Structure::read_with_model(&arguments.structure)?;
         let page = SensorPage::of_records(&structure, &arguments.record)?;
+        return print(&match arguments.json {
+            true => page.json(),
+            false => page.to_string(),
+        });
+    }
+    let structure = Structure::read(&arguments.structure)?;
+    if let (false, Some(plan)) = (structure.has_model(), structure.modal()) {
+        let page = ModalCheckPage::new(&structure, plan)?;
         return print(&match arguments.json {
             true => page.json(),
             false => page.to_string(),

@@ -46,7 +46,8 @@ fn every_example_is_read() {
     for name in [
         "demo",
         "output-only",
-        "ambient",
+        "modes/ambient",
+        "modes/sensors-only",
         "matrices",
         "noisy",
         "three-pier-bridge",
