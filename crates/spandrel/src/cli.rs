@@ -165,6 +165,7 @@ pub enum Command {
     /// Identify natural frequencies, damping ratios and mode shapes of a recording, or live.
     #[command(after_help = "Examples: spandrel modes bridge.mseed\n          \
                       spandrel modes tower.dat --rate 100 --epoch 164 --report modes\n          \
+                      spandrel modes records-of-may --band 0.5..12\n          \
                       spandrel modes week-12.csv tower.toml --json\n          \
                       spandrel modes --live --config spandrel.toml")]
     Modes(ModesArguments),
@@ -796,10 +797,11 @@ pub struct ConvertArguments {
 
 #[derive(Debug, Args)]
 pub struct ModesArguments {
-    /// Recording, and optionally a structure file. With --live, structure files [default: structures
-    /// of the configuration].
+    /// Recordings of one structure, and optionally a structure file (.toml). With --live, structure
+    /// files [default: structures of the configuration].
     ///
-    /// The recording is a file of any known format, or a zip archive or folder of such files.
+    /// A recording is a file of any known format, or a zip archive or folder of such files. The files
+    /// of a folder are recordings of their own if they have the same channels.
     #[arg(value_name = "FILE", required_unless_present = "live")]
     pub files: Vec<PathBuf>,
     /// Run the service that follows the natural frequencies of live samples.
