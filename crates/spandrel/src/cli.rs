@@ -807,7 +807,7 @@ pub struct ModesArguments {
     /// Run the service that follows the natural frequencies of live samples.
     #[arg(long, conflicts_with_all = [
         "structure", "channels", "without", "references", "epoch", "band", "order", "report",
-        "json", "csv", "declare", "rate", "time_column", "time_unit",
+        "json", "csv", "uff", "declare", "rate", "time_column", "time_unit",
     ])]
     pub live: bool,
     /// Structure file, for the columns, units and sampling rate of its channels [default: all
@@ -846,6 +846,10 @@ pub struct ModesArguments {
     /// Output file for the modes of each epoch, one row per epoch and mode.
     #[arg(long, value_name = "MODES.csv")]
     pub csv: Option<PathBuf>,
+    /// Output file for the shapes and the spectral densities, as a universal file (datasets 55 and
+    /// 58).
+    #[arg(long, value_name = "MODES.uff")]
+    pub uff: Option<PathBuf>,
     /// Print the modal tables for a structure file.
     #[arg(long, conflicts_with = "json")]
     pub declare: bool,

@@ -7,7 +7,7 @@ use crate::error::AppError;
 use crate::modes::analysis::{Analysis, Choice, analyse, follow};
 use crate::modes::frames::{Frames, Reading, Selection, recordings};
 use crate::modes::table::Recordings;
-use crate::modes::{declaration, diagrams, table};
+use crate::modes::{declaration, diagrams, table, uff};
 use crate::services::Share;
 use spandrel_modal::{ModeSummary, Source};
 use spandrel_record::RecordError;
@@ -40,7 +40,7 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
         });
     };
     let inputs = || paths.iter().copied();
-    if let Some(file) = &arguments.csv {
+    for file in arguments.csv.iter().chain(&arguments.uff) {
         refuse_overwriting(file, inputs())?;
     }
     if let Some(folder) = &arguments.report {
@@ -98,6 +98,9 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
     }
     if let Some(file) = &arguments.csv {
         write(file, &table::csv(records, &analysis))?;
+    }
+    if let Some(file) = &arguments.uff {
+        write(file, &uff::file(first, &analysis, structure.as_ref()))?;
     }
     print(&if arguments.json {
         table::json(records, &analysis)
