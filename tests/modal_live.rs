@@ -1,10 +1,15 @@
 //! The service `modes`: the natural frequencies of live frames are those of the recording, bit for
 //! bit, also after a crash.
 
-use crate::support::{Process, Record, Site, spandrel, within};
+use crate::support::{DEADLINE, Process, Record, Site, spandrel, within};
 use serde_json::Value;
-use spandrel_bus::{Event, EventKind, ModeDisplay, ModeState, Subscription};
+use spandrel_bus::{
+    Event, EventKind, JudgementDisplay, ModeDisplay, ModeState, MonitoringDisplay, Name, Status,
+    Subscription,
+};
 use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::process::Command;
 use std::time::Duration;
 
@@ -216,4 +221,128 @@ fn the_declared_tables_follow_the_same_modes() {
         "{more}"
     );
     assert!(!more.contains("frequency-hz = 2.9"), "{more}");
+}
+
+/// Returns the site of the example without a model, with short epochs.
+fn sensors_only() -> Site {
+    let text = include_str!("../docs/examples/modes/sensors-only.toml");
+    let short = text.replace("epoch-s = 300", &format!("epoch-s = {EPOCH_S}"));
+    assert_ne!(text, short);
+    Site::with(&short)
+}
+
+/// Requests a path of the page, and returns the status and the JSON or text.
+fn get(address: &str, path: &str) -> (u16, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut reply = String::new();
+    stream.read_to_string(&mut reply).unwrap();
+    let (head, body) = reply.split_once("\r\n\r\n").unwrap();
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, body.to_owned())
+}
+
+/// Without a model, the same samples give the same modes. Nothing waits for a filter or calls the
+/// structure blind.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_structure_without_a_model_has_its_modes_judgements_and_page() {
+    let site = sensors_only();
+    let with_model = ambient();
+    let record = with_model.simulate(RECORD_S);
+    let (recorded, _) = offline(&site, &record);
+    let (of_model, _) = offline(&with_model, &record);
+    for (key, display) in &recorded {
+        let expected = ModeDisplay {
+            structure: display.structure.clone(),
+            ..of_model[key].clone()
+        };
+        assert_eq!(*display, expected);
+    }
+    let count = site.structure().modal().unwrap().modes.len();
+    assert_eq!(recorded.len(), count * EPOCHS as usize);
+
+    let mut command = site.listening("run");
+    command.args(["--http", "127.0.0.1:0"]);
+    let run = Process::start(with_state(&mut command, &site));
+    run.wait_for_output("address of the page", |said| said.contains("page: http"));
+    let said = run.output();
+    let address = said.split("://").nth(1).unwrap().split('/').next().unwrap();
+    run.wait_for_log("ready structures=1");
+    run.wait_for_log("no model to identify, only natural frequencies");
+    let bus = site.join().await;
+    let keys = site.keys();
+    let modes = bus.subscribe(keys.all_modes(), 4096).await.unwrap();
+    let monitoring: Subscription<MonitoringDisplay> =
+        bus.subscribe(keys.monitoring(), 64).await.unwrap();
+    let identify: Subscription<Status> = bus
+        .subscribe(keys.statuses(spandrel_bus::Service::Identify), 64)
+        .await
+        .unwrap();
+    let sway = Name::new("sway-1").unwrap();
+    let judgements: Subscription<JudgementDisplay> =
+        bus.subscribe(keys.judgement(&sway), 64).await.unwrap();
+    let watch = site.watch();
+    let replay = site.replay(&record, "40");
+    let mut live = Messages::new();
+    collect(&modes, &mut live, EPOCHS, count).await;
+    assert_equal(&live, &recorded);
+
+    let (status, text) = get(address, "/api/structures/sensors-only");
+    assert_eq!(status, 200, "{text}");
+    let answer: Value = serde_json::from_str(&text).unwrap();
+    let overview = &answer["overview"];
+    assert_eq!(overview["has_model"], false, "{overview}");
+    assert!(overview["age_s"].as_f64().is_some(), "{overview}");
+    assert_eq!(
+        (&overview["sensors"]["alive"], &overview["sensors"]["total"]),
+        (&5.into(), &5.into())
+    );
+    assert_eq!(get(address, "/health/ready").0, 200);
+    let metrics = get(address, "/metrics").1;
+    assert!(metrics.contains("mode=\"sway-1\""), "{metrics}");
+    assert!(!metrics.contains("monitoring_state{"), "{metrics}");
+    within(
+        "the judgement of a frequency",
+        judgements.messages().recv_async(),
+    )
+    .await
+    .unwrap();
+    watch.wait_for_output("the frequency", |said| {
+        said.contains("no model: natural frequencies only; sway-1")
+    });
+    replay.wait().expect_code(0);
+    assert!(monitoring.messages().try_recv().is_err(), "no monitoring");
+    assert!(identify.messages().try_recv().is_err(), "no identification");
+    run.stop().expect_code(0);
+}
+
+#[test]
+fn commands_that_need_a_model_name_the_kind_and_its_line() {
+    let site = sensors_only();
+    let file = site.structure_file().to_str().unwrap().to_owned();
+    for (subcommand, more) in [
+        ("simulate", &[][..]),
+        ("estimate", &["--record", "none.csv"]),
+        (
+            "baseline",
+            &["--record", "none.csv", "--output", "none.json"],
+        ),
+        ("check", &["--record", "none.csv"]),
+    ] {
+        let mut command = spandrel(subcommand);
+        let finished = Process::start(command.arg(&file).args(more)).wait();
+        let told = [
+            &format!("{file}:13: model.kind: is \"modal\"")[..],
+            "needs a model",
+        ];
+        finished.expect_code(2).expect_told(&told);
+    }
+    for subcommand in ["identify", "alert"] {
+        let finished = Process::start(&mut site.listening(subcommand)).wait();
+        finished
+            .expect_code(2)
+            .expect_told(&[&format!("nothing for {subcommand}")]);
+    }
 }

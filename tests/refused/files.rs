@@ -393,7 +393,7 @@ pub fn configurations(table: &mut Table) {
 }
 
 /// Bad arguments, and what the error names.
-const MISUSED: [(&[&str], &[&str]); 9] = [
+const MISUSED: [(&[&str], &[&str]); 11] = [
     (&["fly"], &["fly"]),
     (&["run"], &["no structure"]),
     (&["run", "--fly"], &["--fly"]),
@@ -404,6 +404,19 @@ const MISUSED: [(&[&str], &[&str]); 9] = [
     (
         &["run", "house.toml", "--root", "a/b"],
         &["bus.root", "a/b"],
+    ),
+    (
+        &["simulate", "sensors.toml", "--record", "rec.csv"],
+        &[
+            "sensors.toml:13",
+            "model.kind",
+            "\"modal\"",
+            "needs a model",
+        ],
+    ),
+    (
+        &["alert", "sensors.toml"],
+        &["nothing for alert", "no model"],
     ),
     (&["simulate", "house.toml", "--duration", "-1"], &["-1"]),
     (
@@ -440,6 +453,8 @@ pub fn arguments(table: &mut Table) {
     for name in ["house.toml", "again.toml"] {
         std::fs::write(folder.path().join(name), two_storeys("")).unwrap();
     }
+    let sensors = include_str!("../../docs/examples/modes/sensors-only.toml");
+    std::fs::write(folder.path().join("sensors.toml"), sensors).unwrap();
     for (arguments, told) in MISUSED {
         let finished = finish(command(folder.path(), arguments[0]).args(&arguments[1..]));
         table.add_ended(

@@ -138,7 +138,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             vec![(Right::Announce, K::Leader), (Right::Watch, K::Leader)],
             each(
                 Right::Put,
-                &[Service::Ingest, Service::Identify, Service::Fuse].map(K::Progress),
+                &[
+                    Service::Ingest,
+                    Service::Identify,
+                    Service::Fuse,
+                    Service::Modes,
+                ]
+                .map(K::Progress),
             ),
             progress(Right::Subscribe),
             // This status shows whether samples are waiting for identification, and hence when

@@ -63,14 +63,14 @@ export class Drawing {
     this.isWide = drawing.form === "members" && isWide(drawing.points);
     this.width = this.isWide && !matchMedia(NARROW).matches ? WIDE : WIDTH;
     this.svg = s("svg", { class: "drawing", role: "img", viewBox: `0 0 ${WIDTH} ${HEIGHT}` });
-    this.svg.append(s("title", {}, `Drawing of ${about.name}, coloured by probability of loss; the adjacent table contains the same values`));
+    this.svg.append(s("title", {}, about.has_model ? `Drawing of ${about.name}, coloured by probability of loss; the adjacent table contains the same values` : `Drawing of ${about.name} with its sensors`));
     this.svg.append(hatches());
     const parameters = new Set(drawing.members.flatMap((member) => member.parameters));
     this.namesAll = parameters.size <= MOST_NAMES;
     if (drawing.form === "storeys") this.#storeys(drawing);
     else if (drawing.form === "members") this.#members(drawing);
     else this.#boxes(drawing);
-    this.element = h("figure", { class: "drawing-figure" }, this.svg, key(drawing, this.note));
+    this.element = h("figure", { class: "drawing-figure", hidden: drawing.points.length === 0 }, this.svg, key(about, this.note));
   }
 
   /** Colours the parts and marks the sensors. */
@@ -323,15 +323,14 @@ function ground(from, to, y) {
   return Array.from({ length: count }, (_, index) => s("path", { class: "ground", d: `M${from + 12 * index + 8} ${y}l-7 8` }));
 }
 
-function key({ sensors }, note) {
+function key({ drawing: { sensors }, has_model: hasModel }, note) {
   const swatch = (index) => s("svg", { class: "swatch", viewBox: "0 0 22 14", "aria-hidden": "true" }, s("g", { class: "part", "data-step": index }, s("rect", { class: "fill", width: 22, height: 14 }), s("rect", { class: "hatch", width: 22, height: 14 })));
   const steps = STEPS.map((one, index) => h("li", {}, swatch(index), one.text));
   const apart = sensors.filter((sensor) => sensor.point === null).map((sensor) => sensor.channel);
   return h(
     "figcaption",
     { class: "drawing-key" },
-    h("span", {}, "Probability of loss: "),
-    h("ul", {}, steps),
+    hasModel ? [h("span", {}, "Probability of loss: "), h("ul", {}, steps)] : null,
     h("span", {}, "Sensors: ● delivers  ✕ gone or silent  ▲ faulty  ◆ excluded  ■ ended  ○ unknown"),
     h("span", {}, note, apart.length > 0 ? `Not drawn: ${apart.join(", ")}.` : null),
   );

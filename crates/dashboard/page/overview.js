@@ -115,8 +115,8 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
   setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
-  setText(fields.monitoring, structure.monitoring ?? "unknown");
-  setText(fields.fit, fitWord(structure.fit));
+  setText(fields.monitoring, structure.has_model ? structure.monitoring ?? "unknown" : "natural frequencies");
+  setText(fields.fit, structure.has_model ? fitWord(structure.fit) : "no model");
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
   setSentence(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));

@@ -111,7 +111,8 @@ export class StructurePage {
       choose: (parameter) => (location.hash = place(this.name, parameter)),
       changed: () => this.#remember(),
     };
-    this.tabs = [new NowTab(page), new ParametersTab(page), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), new ModelTab(page), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
+    const { has_model: hasModel } = this.about;
+    this.tabs = [new NowTab(page), ...(hasModel ? [new ParametersTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(hasModel ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
     if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), `Views of ${this.name}`, (key) => this.#open(key));
     this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]));
@@ -166,7 +167,7 @@ export class StructurePage {
     showNow(parts.now, overview.now, overview.age_s);
     showAcknowledged(parts.seen, overview);
     showStale(parts.stale, overview);
-    const facts = [`Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""}`, overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`, `sensors alive ${sensors.alive} of ${sensors.total}`, `monitoring: ${overview.monitoring ?? "unknown"}`, `fit: ${fitWord(overview.fit)}`];
+    const facts = [`Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""}`, overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`, `sensors alive ${sensors.alive} of ${sensors.total}`, ...(overview.has_model ? [`monitoring: ${overview.monitoring ?? "unknown"}`, `fit: ${fitWord(overview.fit)}`] : ["no model: natural frequencies only"])];
     keyed(parts.facts, facts, (text) => facts.indexOf(text), () => ({ element: h("span") }), ({ element }, text) => setSentence(element, text));
     keyed(
       parts.actions,

@@ -82,7 +82,7 @@ export const HEALTH = {
   faulty: { sign: "▲", word: "faulty, not used", level: "warning" },
   excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
   ended: { sign: "■", word: "record has ended", level: "learning" },
-  unknown: { sign: "○", word: "no data yet", level: "learning" },
+  unknown: { sign: "○", word: "not known yet", level: "learning" },
 };
 
 /** Names, signs and levels of the states of distributed nodes. */

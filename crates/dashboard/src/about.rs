@@ -10,6 +10,8 @@ pub(crate) struct About {
     pub(crate) description: String,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
+    /// Whether there is a model to identify. Without one, only natural frequencies are followed.
+    pub(crate) has_model: bool,
     /// Whether nodes identify the structure from their own samples and a station fuses the results.
     pub(crate) distributed: bool,
     pub(crate) parameters: Vec<AboutParameter>,
@@ -21,7 +23,8 @@ pub(crate) struct About {
     pub(crate) modes: Vec<AboutMode>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
-    /// Index of each observed channel in the drawing's list of sensors.
+    /// Index of each observed channel in the drawing's list of sensors. Without a model, those from
+    /// which modes are identified.
     #[serde(skip)]
     pub(crate) observed: Vec<usize>,
 }
@@ -119,6 +122,7 @@ impl About {
             description: structure.description().to_owned(),
             sampling_rate_hz: structure.sampling_rate_hz(),
             display_rate_hz: structure.display_rate_hz(),
+            has_model: structure.has_model(),
             distributed: structure.fusion().is_some(),
             parameters: parameters.collect(),
             noise: noise.collect(),
@@ -127,8 +131,16 @@ impl About {
             modes: modes.collect(),
             rules: rules.collect(),
             drawing: structure.drawing(),
-            observed: structure.observation_channels().to_vec(),
+            observed: match structure.modal() {
+                Some(plan) if !structure.has_model() => plan.channels.clone(),
+                _ => structure.observation_channels().to_vec(),
+            },
         }
+    }
+
+    /// Returns `true` if a channel is observed.
+    pub(crate) fn observes(&self, channel: &str) -> bool {
+        (0..self.observed.len()).any(|row| self.observed_channel(row) == Some(channel))
     }
 
     /// Returns the name of an observed channel from its index in the innovations.

@@ -19,7 +19,8 @@ pub(crate) async fn live() -> Response {
     Json(json!({"live": true})).into_response()
 }
 
-/// Reports whether each structure has the services that turn samples into alerts.
+/// Reports whether each structure has the services that turn samples into alerts, or into natural
+/// frequencies if it has no model.
 pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
     let (mut structures, mut missing) = (0_u64, 0_u64);
     for store in server.stores() {
@@ -41,6 +42,9 @@ pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
 /// Estimates come from ingest and identify, or in distributed identification from the station.
 fn has_all(store: &Store) -> bool {
     let has = |wanted: Service| store.state.has(wanted);
+    if !store.about.has_model {
+        return has(Service::Ingest) && has(Service::Modes);
+    }
     let estimates = has(Service::Fuse) || (has(Service::Ingest) && has(Service::Identify));
     estimates && has(Service::Alert)
 }
@@ -48,7 +52,17 @@ fn has_all(store: &Store) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{demo, present};
+    use crate::testing::{demo, present, sensors_only};
+
+    #[test]
+    fn structure_without_a_model_is_ready_with_its_frequencies() {
+        let mut store = sensors_only();
+        store.handle(present(&[(Service::Ingest, "one")]));
+        assert!(!has_all(&store));
+        let both = [(Service::Ingest, "one"), (Service::Modes, "one")];
+        store.handle(present(&both));
+        assert!(has_all(&store));
+    }
 
     #[test]
     fn structure_is_ready_with_all_services_of_one_arrangement() {

@@ -346,10 +346,12 @@ impl Metrics {
                     .set(f64::from(u8::from(holds)));
             }
         }
-        // Without a report, nothing proves that damage would be noticed.
+        // Without a report, nothing proves that damage would be noticed. Without a model, nobody
+        // reports.
         let monitoring = store.state.monitoring();
         let state = monitoring.map_or(MonitoringState::Blind, |display| display.state);
-        for other in MonitoringState::ALL {
+        let reported = MonitoringState::ALL.into_iter();
+        for other in reported.filter(|_| store.about.has_model) {
             set(
                 &self.monitoring,
                 "state",

@@ -1,5 +1,6 @@
 //! Overview of a structure: whether it needs attention, and why.
 
+use crate::frequencies;
 use crate::sensors::sensor_states;
 use crate::store::Store;
 use serde::Serialize;
@@ -38,6 +39,8 @@ pub(crate) enum Level {
 pub(crate) struct Overview {
     pub(crate) name: String,
     pub(crate) description: String,
+    /// Whether there is a model to identify. Without one, only natural frequencies are followed.
+    pub(crate) has_model: bool,
     pub(crate) level: Level,
     /// Reason for the level, for people.
     pub(crate) sentence: String,
@@ -145,6 +148,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
     Overview {
         name: store.about.name.clone(),
         description: store.about.description.clone(),
+        has_model: store.about.has_model,
         level,
         sentence,
         now,
@@ -178,14 +182,15 @@ fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMes
         .filter(move |alert| alert.state == state)
 }
 
-/// Returns the lag of the service that publishes the estimates.
+/// Returns the lag of the service that publishes the results.
 ///
-/// This is the station in distributed identification, and the leader if there are standbys.
+/// This is the station in distributed identification, and the leader if there are standbys. Without
+/// a model, only natural frequencies are followed.
 fn lag_s(store: &Store) -> Option<f64> {
-    let source = if store.about.distributed {
-        Service::Fuse
-    } else {
-        Service::Identify
+    let source = match (store.about.has_model, store.about.distributed) {
+        (false, _) => Service::Modes,
+        (true, true) => Service::Fuse,
+        (true, false) => Service::Identify,
     };
     let instances = store.state.instances.iter();
     let of_source = instances.filter(|((service, _), _)| *service == source);
@@ -252,6 +257,9 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
             "no data since this page was started; check which services and sensors are running";
         return (Level::Stale, sentence.to_owned());
     }
+    if !store.about.has_model {
+        return frequencies::attention(store);
+    }
     if store.state.silence().is_none() {
         return (
             Level::Learning,
@@ -301,8 +309,12 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
             .map(|first| with_others(store, first))
     };
     let troubled = (!sensors.troubled.is_empty()).then(|| {
+        let results = match store.about.has_model {
+            true => "estimates",
+            false => "natural frequencies",
+        };
         format!(
-            "not used: {}; the estimates use the other sensors",
+            "not used: {}; the {results} use the other sensors",
             sensors.troubled.join(", ")
         )
     });
@@ -324,9 +336,13 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         (Level::Notice, alerts(AlertState::Acknowledged)),
         (Level::Notice, seen_unconfirmed(store)),
     ];
-    all.into_iter()
+    let all = all.into_iter();
+    let mut all: Vec<(Level, String)> = all
         .filter_map(|(level, sentence)| Some((level, sentence?)))
-        .collect()
+        .chain(frequencies::concerns(store))
+        .collect();
+    all.sort_by_key(|(level, _)| *level);
+    all
 }
 
 /// Returns the sentence of an undecided alert.
@@ -392,13 +408,16 @@ fn with_others(store: &Store, first: &AlertMessage) -> String {
 
 /// Returns the first required service that was present and has disappeared.
 fn missing_service(store: &Store) -> Option<Service> {
-    let needed = [
-        Service::Identify,
-        Service::Fuse,
-        Service::Alert,
-        Service::Ingest,
-    ];
-    needed.into_iter().find(|service| {
+    let needed: &[Service] = match store.about.has_model {
+        true => &[
+            Service::Identify,
+            Service::Fuse,
+            Service::Alert,
+            Service::Ingest,
+        ],
+        false => &[Service::Modes, Service::Ingest],
+    };
+    needed.iter().copied().find(|service| {
         let was_there = store.state.seen.iter().any(|(seen, _)| seen == service);
         was_there && !store.state.has(*service)
     })

@@ -146,6 +146,10 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
         {
             SensorHealth::Silent
         }
+        // Without a model, the first epoch shows which channels are used.
+        (None, Some(_)) if !store.about.has_model && store.about.observes(channel) => {
+            SensorHealth::Silent
+        }
         (None, _) if is_there => SensorHealth::Alive,
         (None, _) => SensorHealth::Unknown,
     }

@@ -7,7 +7,7 @@ use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, ChannelState, ConditionDisplay, Event, EventKind,
-    HistoryLog, ModelClassDisplay, Phase,
+    HistoryLog, ModeDisplay, ModelClassDisplay, Phase,
 };
 use spandrel_listener::{AlertChange, Input, STALE_AFTER, StructureState};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -76,6 +76,10 @@ impl Store {
             }
             Input::Event(event) => self.take_event(event),
             Input::Past(log) => self.take_past(log),
+            Input::Mode(display) => {
+                self.note_used_channels(&display);
+                self.state.handle(Input::Mode(display), &mut Vec::new());
+            }
             input => {
                 let mut changes = Vec::new();
                 self.state.handle(input, &mut changes);
@@ -241,6 +245,15 @@ impl Store {
             interval.time_ns,
             &[interval.consistency],
         );
+    }
+
+    /// Notes the channels that took part in an epoch. With a model, the innovations show more.
+    fn note_used_channels(&mut self, display: &ModeDisplay) {
+        let is_useful = !self.about.has_model && self.state.is_live(display.time_ns);
+        let shape = display.estimate.iter().flat_map(|estimate| &estimate.shape);
+        for at in shape.filter(|_| is_useful) {
+            self.used_ns.insert(at.channel.clone(), display.time_ns);
+        }
     }
 
     fn take(&mut self, change: AlertChange) {

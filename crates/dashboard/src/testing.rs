@@ -25,6 +25,13 @@ pub(crate) fn demo() -> Store {
     ))
 }
 
+/// Returns the store of the example without a model, whose mode `sway-1` is judged.
+pub(crate) fn sensors_only() -> Store {
+    let text = include_str!("../../../docs/examples/modes/sensors-only.toml");
+    let structure = Structure::parse(text, Path::new("sensors-only.toml"));
+    Store::new(About::new(&structure.unwrap()))
+}
+
 /// Returns the store of the demo with a temperature of the air, expected every 10 s, with the
 /// judgement of storey 2, and with the mode `bending`.
 pub(crate) fn demo_with_air() -> Store {

@@ -201,6 +201,12 @@ impl StructureState {
             Input::Ingested(_, progress) => {
                 let header = progress.header;
                 self.arrivals.ingested(header.epoch, header.time_ns);
+                // Progress is repeated, and has no time before the first frame.
+                let is_new = header.time_ns > i64::MIN && self.time_ns != Some(header.time_ns);
+                if self.has_only_modes() && is_new {
+                    self.arrivals.value(header.time_ns, self.now);
+                    self.time_ns = Some(header.time_ns);
+                }
             }
             Input::Present(present) => self.take_present(present),
             Input::Misplaced => self.left_out += 1,
@@ -285,6 +291,14 @@ impl StructureState {
             && self.instances.is_empty()
     }
 
+    /// Returns `true` if natural frequencies are followed and nothing is identified, because the
+    /// structure has no model. Frames then show that data arrives.
+    #[must_use]
+    pub fn has_only_modes(&self) -> bool {
+        let is_seen = |wanted: Service| self.seen.iter().any(|(seen, _)| *seen == wanted);
+        is_seen(Service::Modes) && !is_seen(Service::Identify) && !is_seen(Service::Fuse)
+    }
+
     /// Returns the services and nodes that are present.
     pub fn present(&self) -> impl Iterator<Item = &(Service, Name)> {
         let present = self.instances.iter();
@@ -317,7 +331,7 @@ impl StructureState {
     }
 
     /// Returns the time since a parameter or noise level last arrived live, or `None` before the
-    /// first.
+    /// first. For a structure with [modes only](Self::has_only_modes), frames count.
     ///
     /// Values replayed from the recording do not count.
     #[must_use]

@@ -5,8 +5,8 @@ use crate::error::ModesError;
 use crate::following::Following;
 use crate::memory::Memory;
 use spandrel_bus::{
-    BoxedFuture, Delivery, DisplayPublisher, FrameBlock, LiveToken, ModeDisplay, Name, Service,
-    Stream,
+    BoxedFuture, Delivery, DisplayPublisher, FrameBlock, LiveToken, ModeDisplay, Name,
+    ProgressPublisher, Service, Stream,
 };
 use spandrel_service::{
     EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
@@ -42,6 +42,8 @@ pub struct ModesService {
     topics: BTreeMap<Name, DisplayPublisher<ModeDisplay>>,
     events: EventPublisher,
     status: StatusPublisher,
+    /// Without a model, sources wait for it.
+    progress: ProgressPublisher,
     token: LiveToken,
     memory: Option<Memory>,
 }
@@ -108,6 +110,10 @@ impl ModesService {
                 false => Err("frames-of-another-structure"),
             };
             let reading = bus.reading(core.start()).patient();
+            let progress = bus
+                .publish_progress(keys.progress(Service::Modes), instance.id.to_string())
+                .await?;
+            put_progress(&progress, &core);
             info!(
                 structure = keys.structure().as_str(),
                 modes = topics.len(),
@@ -120,6 +126,7 @@ impl ModesService {
                     .follow_fit(keys.frames(), keys.recording(), reading, is_of_structure)
                     .await?,
                 core: Some(core),
+                progress,
                 topics,
                 events: EventPublisher::declare(bus, keys).await?,
                 status: instance.publish_status(Service::Modes, keys).await?,
@@ -197,6 +204,7 @@ impl ModesService {
             let is_epoch_over = core.declared().epochs() > before;
             memory.keep(&core, is_epoch_over).await;
         }
+        put_progress(&self.progress, &core);
         self.core = Some(core);
         Ok(())
     }
@@ -236,5 +244,12 @@ impl ModesService {
             ..Report::default()
         };
         Ok(self.status.put(report).await?)
+    }
+}
+
+/// Reports the processed frames. A source can be waiting for the last progress before a restart.
+fn put_progress(progress: &ProgressPublisher, core: &Following) {
+    if let Some((epoch, next)) = core.position() {
+        progress.set(epoch, next, core.last_time_ns().unwrap_or(i64::MIN));
     }
 }

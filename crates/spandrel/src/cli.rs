@@ -165,6 +165,7 @@ pub enum Command {
     /// Identify natural frequencies, damping ratios and mode shapes of a recording, or live.
     #[command(after_help = "Examples: spandrel modes bridge.mseed\n          \
                       spandrel modes tower.dat --rate 100 --epoch 164 --report modes\n          \
+                      spandrel modes records-of-may --band 0.5..12\n          \
                       spandrel modes week-12.csv tower.toml --json\n          \
                       spandrel modes --live --config spandrel.toml")]
     Modes(ModesArguments),
@@ -795,16 +796,17 @@ pub struct ConvertArguments {
 
 #[derive(Debug, Args)]
 pub struct ModesArguments {
-    /// Recording, and optionally a structure file. With --live, structure files [default: structures
-    /// of the configuration].
+    /// Recordings of one structure, and optionally a structure file (.toml). With --live, structure
+    /// files [default: structures of the configuration].
     ///
-    /// The recording is a file of any known format, or a zip archive or folder of such files.
+    /// A recording is a file of any known format, or a zip archive or folder of such files. The files
+    /// of a folder are recordings of their own if they have the same channels.
     #[arg(value_name = "FILE", required_unless_present = "live")]
     pub files: Vec<PathBuf>,
     /// Run the service that follows the natural frequencies of live samples.
     #[arg(long, conflicts_with_all = [
         "structure", "channels", "without", "references", "epoch", "band", "order", "report",
-        "json", "csv", "declare", "rate", "time_column", "time_unit",
+        "json", "csv", "uff", "declare", "rate", "time_column", "time_unit",
     ])]
     pub live: bool,
     /// Structure file, for the columns, units and sampling rate of its channels [default: all
@@ -843,6 +845,10 @@ pub struct ModesArguments {
     /// Output file for the modes of each epoch, one row per epoch and mode.
     #[arg(long, value_name = "MODES.csv")]
     pub csv: Option<PathBuf>,
+    /// Output file for the shapes and the spectral densities, as a universal file (datasets 55 and
+    /// 58).
+    #[arg(long, value_name = "MODES.uff")]
+    pub uff: Option<PathBuf>,
     /// Print the modal tables for a structure file.
     #[arg(long, conflicts_with = "json")]
     pub declare: bool,

@@ -244,6 +244,15 @@ pub enum AppError {
         "the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…"
     )]
     NoHistory,
+    /// Identification or alerts were requested, but no structure has a model.
+    #[error(
+        "nothing for {service}: every structure has kind = \"modal\" and therefore no model; \
+         spandrel modes --live follows its natural frequencies"
+    )]
+    NothingToIdentify {
+        /// Name of the subcommand.
+        service: &'static str,
+    },
     /// No structure has a table `[judge]`.
     #[error("no structure has a table [judge]; --series judges a file instead")]
     NothingToJudge,
@@ -252,11 +261,26 @@ pub enum AppError {
         "no structure has a table [modal]; spandrel modes --declare prints one for a recording"
     )]
     NothingToFollow,
-    /// More files were given than a recording and a structure file.
-    #[error("{found} files are given, must be a recording and at most one structure file")]
+    /// The files are not recordings and at most one structure file.
+    #[error("{found}, must be one or more recordings and at most one structure file (.toml)")]
     FilesOfModes {
-        /// Number of files.
-        found: usize,
+        /// What is wrong with them.
+        found: &'static str,
+    },
+    /// Recordings that belong together differ.
+    #[error(
+        "{}: has {found}, must have {expected} like {}; leave other files out, or choose channels \
+         with --channels", path.display(), first.display()
+    )]
+    UnlikeRecordings {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Its channels or sampling rate.
+        found: String,
+        /// Path of the first recording.
+        first: PathBuf,
+        /// Channels or sampling rate of the first recording.
+        expected: String,
     },
     /// Options that describe a recording were given together with a structure file, which does so.
     #[error("--rate, --time-column and --time-unit are for a recording without a structure file")]
@@ -619,9 +643,11 @@ impl AppError {
             | Self::OtherFrames { .. }
             | Self::UnknownNode { .. }
             | Self::NothingToFuse
+            | Self::NothingToIdentify { .. }
             | Self::NothingToJudge
             | Self::NothingToFollow
             | Self::FilesOfModes { .. }
+            | Self::UnlikeRecordings { .. }
             | Self::ReadingOfStructure
             | Self::SeriesOfStructures { .. }
             | Self::NoSeries

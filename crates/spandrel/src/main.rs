@@ -11,6 +11,7 @@ mod earthquake;
 mod error;
 mod judge_report;
 mod logging;
+mod modal_check;
 mod modes;
 mod offline;
 mod printable;

@@ -5,9 +5,11 @@
 //! - [`declaration`]: the tables of a structure file that declare the modes
 //! - [`table`]: the results as text, JSON and CSV
 //! - [`diagrams`]: the stabilisation diagram and the singular-value spectrum as SVG
+//! - [`uff`]: shapes and spectral densities as a universal file
 
 pub mod analysis;
 pub mod declaration;
 pub mod diagrams;
 pub mod frames;
 pub mod table;
+pub mod uff;

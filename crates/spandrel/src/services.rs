@@ -387,7 +387,7 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the identification of each structure on one thread pool.
+    /// Starts the identification of each structure with a model on one thread pool.
     ///
     /// A structure has one worker, or one worker per node if it is distributed.
     ///
@@ -420,6 +420,13 @@ impl Running {
         let baselines = self.baselines.clone();
         for (monitored, baseline) in self.monitored.clone().into_iter().zip(baselines) {
             let structure = monitored.structure.clone();
+            if !structure.has_model() {
+                info!(
+                    structure = structure.name(),
+                    "no model to identify, only natural frequencies"
+                );
+                continue;
+            }
             if structure.fusion().is_none() {
                 let plan = IdentifyPlan {
                     instance: instance.clone(),
@@ -472,7 +479,7 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the alert service of each structure with its baseline, if there is one.
+    /// Starts the alert service of each structure with a model, with its baseline if there is one.
     ///
     /// # Errors
     /// An instance cannot start.
@@ -483,6 +490,9 @@ impl Running {
             .into_iter()
             .zip(self.baselines.clone())
         {
+            if !monitored.structure.has_model() {
+                continue; // without parameters, no rule can be satisfied
+            }
             let of = monitored.structure.name().to_owned();
             let plan = AlertPlan {
                 instance: self.instance(Service::Alert),

@@ -1,6 +1,6 @@
 //! A drawing of a structure: points, members with their parameters, and sensors at their positions.
 
-use crate::node::{Channel, Quantity};
+use crate::node::{Channel, Direction, Quantity};
 use crate::parameter::Scales;
 use crate::skeleton::{Skeleton, Up};
 use crate::structure::Structure;
@@ -76,6 +76,9 @@ pub struct DrawnSensor {
     pub excitation: bool,
     /// Point (from 0) of the sensor; `None` if the structure file does not specify it.
     pub point: Option<usize>,
+    /// Direction of the sensor; `None` with a model, whose degrees of freedom have names.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub direction: Option<Direction>,
 }
 
 /// A drawing without its sensors.
@@ -108,7 +111,8 @@ impl Structure {
                 quantity: channel.quantity(),
                 unit: channel.quantity().unit(),
                 excitation: channel.quantity().is_excitation(),
-                point: self.place(channel, form, &points),
+                point: channel.point.or_else(|| self.place(channel, form, &points)),
+                direction: channel.direction,
             })
         });
         let sensors = sensors.collect();

@@ -45,6 +45,8 @@ use toml::de::DeTable;
 pub(crate) struct StructureFile<'t> {
     text: &'t str,
     document: Spanned<DeTable<'t>>,
+    /// Stands for a table that may be missing.
+    empty: DeTable<'t>,
 }
 
 /// The `[structure]` table.
@@ -65,7 +67,11 @@ impl<'t> StructureFile<'t> {
     pub(crate) fn parse(text: &'t str, path: &Path) -> Result<Self, StructureError> {
         let (document, errors) = DeTable::parse_recoverable(text);
         if errors.is_empty() {
-            return Ok(Self { text, document });
+            return Ok(Self {
+                text,
+                document,
+                empty: DeTable::new(),
+            });
         }
         let diagnostics = Diagnostics::new(path, text);
         if path
@@ -107,6 +113,23 @@ impl<'t> StructureFile<'t> {
                 diagnostics: diagnostics.into_sorted(),
             }),
         }
+    }
+
+    /// Checks the whole file, and that it has a model.
+    pub(crate) fn resolve_with_model(&self, path: &Path) -> Result<Structure, StructureError> {
+        let structure = self.resolve(path)?;
+        if structure.has_model() {
+            return Ok(structure);
+        }
+        let diagnostics = Diagnostics::new(path, self.text);
+        let mut file = Section::new(self.document.get_ref(), "", 0..0, &diagnostics);
+        if let Some(model) = file.table("model") {
+            let (span, key) = (model.span_of("kind"), model.key("kind"));
+            diagnostics.report(span, key, "is \"modal\"", model::WITH_A_MODEL);
+        }
+        Err(StructureError::Invalid {
+            diagnostics: diagnostics.into_sorted(),
+        })
     }
 
     /// Checks the file as far as it is judged: completely if it has a model.
@@ -153,7 +176,14 @@ impl<'t> StructureFile<'t> {
         let mut file = Section::new(self.document.get_ref(), "", 0..0, diagnostics);
         let head = read_head(&mut file);
         let model = file.required_table("model").and_then(model::read_model);
-        let damping_section = file.required_table("damping");
+        let is_modal = model.as_ref().is_some_and(|read| read.system.is_empty());
+        let damping_section = match is_modal {
+            true => {
+                file.refuse_keys(&OF_MODELS, model::WITHOUT_A_MODEL);
+                None
+            }
+            false => file.required_table("damping"),
+        };
         let damping =
             damping_section.and_then(|section| damping::read_damping(section, model.as_ref()));
         let (mut system, modes) = match model {
@@ -168,14 +198,17 @@ impl<'t> StructureFile<'t> {
         let system = system.as_ref();
         let nodes = node::read_nodes(&mut file, head.rate_hz, system);
         let channels = (!nodes.incomplete).then_some(&nodes.channels[..]);
-        let (declared_excitations, excitations) = excitation::read_excitations(
-            &mut file,
-            &excitation::Context {
-                rate_hz: head.rate_hz,
-                system,
-                channels,
-            },
-        );
+        let (declared_excitations, excitations) = match is_modal {
+            true => (0, Vec::new()),
+            false => excitation::read_excitations(
+                &mut file,
+                &excitation::Context {
+                    rate_hz: head.rate_hz,
+                    system,
+                    channels,
+                },
+            ),
+        };
         let (declared, parameters) =
             parameter::read_parameters(&mut file, system, damping.as_ref());
         if let Some(distributed) = head
@@ -208,7 +241,10 @@ impl<'t> StructureFile<'t> {
         let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, task);
         filter::check_particles(&file, &plan, head.distributed.as_ref());
         plan.outliers = outliers::read_outliers(file.table("outliers"), head.rate_hz);
-        let mut noise_levels = read_noise_levels(&file, &nodes.channels, &excitations);
+        let mut noise_levels = match is_modal {
+            true => Vec::new(),
+            false => read_noise_levels(&file, &nodes.channels, &excitations),
+        };
         for level in &mut noise_levels {
             level.adapted &= plan.noise_rule != NoiseRule::Fixed;
         }
@@ -264,7 +300,16 @@ impl<'t> StructureFile<'t> {
         };
         let alert_rules = alert::read_alerts(&mut file, &context);
         let judge = judge::read_judge(file.table("judge"));
-        let modal = modal::read_modal(file.table("modal"), head.rate_hz, &nodes);
+        let modal = match file.table("modal") {
+            None if is_modal && !file.contains("modal") => Some(Section::new(
+                &self.empty,
+                "modal",
+                file.span_of("model"),
+                diagnostics,
+            )),
+            section => section,
+        };
+        let modal = modal::read_modal(modal, head.rate_hz, &nodes);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
         let levels = (!nodes.incomplete && declared_excitations == excitations.len())
@@ -314,6 +359,21 @@ impl<'t> StructureFile<'t> {
         })
     }
 }
+
+/// Tables that need a model.
+const OF_MODELS: [&str; 11] = [
+    "damping",
+    "excitation",
+    "parameter",
+    "filter",
+    "outliers",
+    "classes",
+    "fusion",
+    "response",
+    "band-limit",
+    "alert",
+    "simulation",
+];
 
 fn read_head(file: &mut Section<'_>) -> Head {
     let mut head = Head {

@@ -114,7 +114,7 @@ pub use fusion_plan::{FusionPlan, PeriodNumbers, SentModes};
 pub use judge_plan::{JudgePlan, JudgedStructure};
 pub use modal_plan::{DeclaredMode, ModalPlan};
 pub use model::StructureModel;
-pub use node::{Channel, Node, Quantity};
+pub use node::{Channel, Direction, Node, Quantity};
 pub use noise_level::{NoiseLevel, NoiseSource};
 pub use parameter::Parameter;
 pub use record_map::{ColumnMap, RecordMap};

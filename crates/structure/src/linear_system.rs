@@ -147,9 +147,28 @@ pub(crate) struct LinearSystem {
 }
 
 impl LinearSystem {
+    /// Returns a system without degrees of freedom, for a structure without a model.
+    pub(crate) fn empty(skeleton: Option<Skeleton>) -> Self {
+        Self {
+            mass: Mass::Lumped(DVector::zeros(0)),
+            substructures: Vec::new(),
+            damping: Damping::NONE,
+            degrees_of_freedom: Vec::new(),
+            ground_directions: Vec::new(),
+            storeys: Vec::new(),
+            hysteresis: None,
+            skeleton,
+        }
+    }
+
     /// Returns `N_d`, the number of degrees of freedom.
     pub(crate) fn len(&self) -> usize {
         self.degrees_of_freedom.len()
+    }
+
+    /// Returns `true` if there is no model.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.degrees_of_freedom.is_empty()
     }
 
     /// Returns the matrix (N/m) from spring displacements (columns) to the forces of one

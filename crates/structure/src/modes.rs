@@ -17,6 +17,14 @@ pub(crate) struct Modes {
 }
 
 impl Modes {
+    /// The modes of a system without degrees of freedom.
+    pub(crate) fn none() -> Self {
+        Self {
+            angular_frequencies: Vec::new(),
+            shapes: DMatrix::zeros(0, 0),
+        }
+    }
+
     /// Solves for all modes; `stiffness` is symmetric.
     ///
     /// Returns `None` if `mass` is not positive definite or numbers overflow.

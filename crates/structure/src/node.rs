@@ -121,14 +121,31 @@ impl fmt::Display for Quantity {
     }
 }
 
+/// Direction of a sensor in the coordinates of the structure file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Direction {
+    /// Along the first axis.
+    X,
+    /// Along the second axis.
+    Y,
+    /// Along the third axis.
+    Z,
+}
+
 /// One channel of a sensor node.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Channel {
     pub(crate) name: String,
     pub(crate) quantity: Quantity,
     /// Degrees of freedom (from 0) with their coefficients; a single one with coefficient 1, except
-    /// for a strain.
+    /// for a strain. Empty for excitations, and without a model.
     pub(crate) sensed: Vec<(usize, f64)>,
+    /// Point (from 0) of a sensor of a structure without a model, if the file gives it.
+    pub(crate) point: Option<usize>,
+    /// Direction of such a sensor, if the file gives it.
+    pub(crate) direction: Option<Direction>,
+    /// 0 without a model, which needs none.
     pub(crate) noise_std: f64,
     pub(crate) range: f64,
 }

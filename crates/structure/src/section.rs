@@ -118,6 +118,8 @@ pub(crate) struct Section<'t> {
     name: String,
     span: Range<usize>,
     known: Vec<&'static str>,
+    /// Keys that were refused. They count as missing.
+    refused: Vec<&'static str>,
     diagnostics: &'t Diagnostics<'t>,
 }
 
@@ -133,6 +135,7 @@ impl<'t> Section<'t> {
             name: name.into(),
             span,
             known: Vec::new(),
+            refused: Vec::new(),
             diagnostics,
         }
     }
@@ -156,7 +159,19 @@ impl<'t> Section<'t> {
     }
 
     pub(crate) fn contains(&self, key: &str) -> bool {
-        self.table.contains_key(key)
+        self.table.contains_key(key) && !self.refused.contains(&key)
+    }
+
+    /// Reports keys that must not be given here. Later calls do not find them.
+    pub(crate) fn refuse_keys(&mut self, keys: &[&'static str], allowed: &str) {
+        for key in keys.iter().filter(|key| self.contains(key)) {
+            let key_span = self.table.keys().find(|known| known.get_ref() == key);
+            let span = key_span.map_or_else(|| self.span(), Spanned::span);
+            self.diagnostics
+                .report(span, self.key(key), "is given", allowed);
+        }
+        self.refused.extend(keys);
+        self.known.extend(keys);
     }
 
     /// Returns `true` if the value of a key is a list.
@@ -227,7 +242,7 @@ impl<'t> Section<'t> {
 
     fn value(&mut self, key: &'static str) -> Option<&'t Spanned<DeValue<'t>>> {
         self.known.push(key);
-        self.table.get(key)
+        self.table.get(key).filter(|_| !self.refused.contains(&key))
     }
 
     /// Reads a number; an integer is also a number.

@@ -85,6 +85,14 @@ impl Structure {
         Self::parse(&read_text(path)?, path)
     }
 
+    /// Reads a structure file as [`Structure::read`] does, which must have a model.
+    ///
+    /// # Errors
+    /// As for [`Structure::read`]. Also, the kind of the model is `modal`.
+    pub fn read_with_model(path: &Path) -> Result<Self, StructureError> {
+        StructureFile::parse(&read_text(path)?, path)?.resolve_with_model(path)
+    }
+
     /// Parses the text of a structure file.
     ///
     /// Messages contain `path`. Matrix files are relative to it.
@@ -113,7 +121,14 @@ impl Structure {
         &self.place
     }
 
-    /// Returns the names of the degrees of freedom, in the order of the state.
+    /// Returns `true` if there is a model to identify. Without one, only natural frequencies are
+    /// followed.
+    #[must_use]
+    pub fn has_model(&self) -> bool {
+        !self.system.is_empty()
+    }
+
+    /// Returns the names of the degrees of freedom, in the order of the state. Empty without a model.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> &[String] {
         &self.system.degrees_of_freedom

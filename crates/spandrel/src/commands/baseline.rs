@@ -30,7 +30,7 @@ const MOST_LEFT_OUT: usize = 12;
 pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     let inputs = std::iter::once(&arguments.structure).chain(&arguments.record);
     refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
-    let structure = Structure::read(&arguments.structure)?;
+    let structure = Structure::read_with_model(&arguments.structure)?;
     if structure.parameters().is_empty() {
         return Err(AppError::NoParameters {
             path: arguments.structure.clone(),

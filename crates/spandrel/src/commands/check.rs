@@ -6,6 +6,7 @@ use super::{print, progress};
 use crate::check_report::CheckPage;
 use crate::cli::CheckArguments;
 use crate::error::AppError;
+use crate::modal_check::ModalCheckPage;
 use crate::role_check::{self, Need, Work};
 use crate::sensor_report::SensorPage;
 use crate::services::block_on;
@@ -30,13 +31,20 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 /// # Errors
 /// The file is not valid, a recording cannot be read, or no live data of this file arrive.
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
+    if arguments.live.is_some() || !arguments.record.is_empty() {
+        let structure = Structure::read_with_model(&arguments.structure)?;
+        let page = match arguments.live {
+            Some(seconds) => live(&structure, seconds, &arguments)?,
+            None => SensorPage::of_records(&structure, &arguments.record)?,
+        };
+        return print(&match arguments.json {
+            true => page.json(),
+            false => page.to_string(),
+        });
+    }
     let structure = Structure::read(&arguments.structure)?;
-    let sensors = match arguments.live {
-        Some(seconds) => Some(live(&structure, seconds, &arguments)?),
-        None if arguments.record.is_empty() => None,
-        None => Some(SensorPage::of_records(&structure, &arguments.record)?),
-    };
-    if let Some(page) = sensors {
+    if let (false, Some(plan)) = (structure.has_model(), structure.modal()) {
+        let page = ModalCheckPage::new(&structure, plan)?;
         return print(&match arguments.json {
             true => page.json(),
             false => page.to_string(),

@@ -43,7 +43,7 @@ const NODES_WAITING: usize = 1 << 14;
 pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.bus)?;
     let structure = match &arguments.structure {
-        Some(path) => Structure::read(path)?,
+        Some(path) => Structure::read_with_model(path)?,
         None if arguments.distributed => {
             Structure::parse(DISTRIBUTED, Path::new(DISTRIBUTED_NAME))?
         }

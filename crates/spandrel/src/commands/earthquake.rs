@@ -35,7 +35,7 @@ const INDEX: &str = "index.html";
 /// A file is not valid or cannot be written. The reports of all valid recordings are written before
 /// the first recording that is not valid is reported as an error.
 pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
-    let structure = Structure::read(&arguments.structure)?;
+    let structure = Structure::read_with_model(&arguments.structure)?;
     let with = with_displacements(structure, &arguments.structure);
     let settings = ReportSettings {
         loss: arguments.loss,

@@ -37,7 +37,7 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     {
         return Err(AppError::ParticlesOnly { option });
     }
-    let structure = Structure::read(&arguments.structure)?;
+    let structure = Structure::read_with_model(&arguments.structure)?;
     let recording = open_record(&structure, &arguments.record)?;
     let baseline = arguments
         .baseline

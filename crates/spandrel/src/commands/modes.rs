@@ -5,13 +5,14 @@ use super::{print, refuse_overwriting};
 use crate::cli::{ModesArguments, ServiceArguments};
 use crate::error::AppError;
 use crate::modes::analysis::{Analysis, Choice, analyse, follow};
-use crate::modes::frames::{Frames, Selection};
-use crate::modes::{declaration, diagrams, table};
+use crate::modes::frames::{Frames, Reading, Selection, recordings};
+use crate::modes::table::Recordings;
+use crate::modes::{declaration, diagrams, table, uff};
 use crate::services::Share;
 use spandrel_modal::{ModeSummary, Source};
 use spandrel_record::RecordError;
 use spandrel_structure::Structure;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Names of the files of a report.
 const STABILISATION: &str = "stabilisation.svg";
@@ -32,20 +33,19 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
         };
         return one(&service, Services::MODES, Share::ALL);
     }
-    let (path, structure) = match (arguments.files.as_slice(), &arguments.structure) {
-        ([record], structure) => (record.as_path(), structure.as_ref()),
-        ([record, structure], None) => (record.as_path(), Some(structure)),
-        (several, structure) => {
-            let found = several.len() + usize::from(structure.is_some());
-            return Err(AppError::FilesOfModes { found });
-        }
+    let (paths, structure) = divide(arguments)?;
+    let Some(path) = paths.first() else {
+        return Err(AppError::FilesOfModes {
+            found: "no recording is given",
+        });
     };
-    if let Some(file) = &arguments.csv {
-        refuse_overwriting(file, [path])?;
+    let inputs = || paths.iter().copied();
+    for file in arguments.csv.iter().chain(&arguments.uff) {
+        refuse_overwriting(file, inputs())?;
     }
     if let Some(folder) = &arguments.report {
         for name in [STABILISATION, SINGULAR_VALUES, MODES_JSON, MODES_CSV] {
-            refuse_overwriting(&folder.join(name), [path])?;
+            refuse_overwriting(&folder.join(name), inputs())?;
         }
     }
     let selection = Selection {
@@ -67,39 +67,73 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
         .as_ref()
         .and_then(Structure::modal)
         .filter(|_| !is_own_choice);
-    let frames = match (&structure, plan) {
-        (Some(structure), Some(plan)) => Frames::of_plan(path, structure, plan)?,
-        (Some(structure), None) => Frames::of_structure(path, structure, selection)?,
-        (None, _) => Frames::read(path, &arguments.reading.options(), selection)?,
+    let options = arguments.reading.options();
+    let files: Vec<Vec<PathBuf>> = inputs()
+        .map(|path| recordings(path, &options))
+        .collect::<Result<_, _>>()?;
+    let reading = match (&structure, plan) {
+        (Some(structure), Some(plan)) => Reading::Plan(structure, plan),
+        (Some(structure), None) => Reading::Structure(structure, selection),
+        (None, _) => Reading::Files(&options, selection),
     };
+    let all = Frames::read(&files.concat(), reading)?;
     let analysis = match (&structure, plan) {
-        (Some(structure), Some(plan)) => follow(&frames, structure, plan)?,
-        _ => analyse(&frames, &choice)?,
+        (Some(structure), Some(plan)) => follow(&all, structure, plan)?,
+        _ => analyse(&all, &choice)?,
+    };
+    let Some(first) = all.first() else {
+        return Ok(()); // there is a path, and each has a recording
+    };
+    let common = match inputs().count() {
+        1 => path,
+        _ => path.parent().unwrap_or(path),
+    };
+    let records = Recordings {
+        path: common,
+        all: &all,
+        first,
     };
     if let Some(folder) = &arguments.report {
-        report(folder, &frames, &analysis)?;
+        report(folder, records, &analysis)?;
     }
     if let Some(file) = &arguments.csv {
-        write(file, &table::csv(&frames, &analysis))?;
+        write(file, &table::csv(records, &analysis))?;
+    }
+    if let Some(file) = &arguments.uff {
+        write(file, &uff::file(first, &analysis, structure.as_ref()))?;
     }
     print(&if arguments.json {
-        table::json(&frames, &analysis)
+        table::json(records, &analysis)
     } else if arguments.declare {
         declaration::tables(&choice, &arguments.without, plan, &analysis)
     } else {
-        table::text(&frames, &analysis)
+        table::text(records, &analysis)
     })?;
     let is_mode = |mode: &ModeSummary| mode.source == Source::Mode;
     match analysis.modes.iter().any(is_mode) {
         true => Ok(()),
         false => Err(AppError::NoMode {
-            path: path.to_owned(),
+            path: common.to_owned(),
+        }),
+    }
+}
+
+/// Divides the files into recordings and at most one structure file.
+fn divide(arguments: &ModesArguments) -> Result<(Vec<&Path>, Option<&Path>), AppError> {
+    let is_structure = |file: &&Path| file.extension().is_some_and(|ending| ending == "toml");
+    let files = arguments.files.iter().map(PathBuf::as_path);
+    let (structures, recordings): (Vec<&Path>, Vec<&Path>) = files.partition(is_structure);
+    match (structures.as_slice(), arguments.structure.as_deref()) {
+        ([], structure) => Ok((recordings, structure)),
+        ([structure], None) => Ok((recordings, Some(*structure))),
+        _ => Err(AppError::FilesOfModes {
+            found: "several structure files are given",
         }),
     }
 }
 
 /// Writes the files of a report into a folder, which is created if it does not exist.
-fn report(folder: &Path, frames: &Frames, analysis: &Analysis) -> Result<(), AppError> {
+fn report(folder: &Path, records: Recordings<'_>, analysis: &Analysis) -> Result<(), AppError> {
     let undrawn = |error: Box<dyn std::error::Error>| AppError::Diagram {
         reason: error.to_string(),
     };
@@ -108,8 +142,8 @@ fn report(folder: &Path, frames: &Frames, analysis: &Analysis) -> Result<(), App
     std::fs::create_dir_all(folder).map_err(|source| cannot_write(folder, source))?;
     write(&folder.join(STABILISATION), &stabilisation)?;
     write(&folder.join(SINGULAR_VALUES), &spectrum)?;
-    write(&folder.join(MODES_JSON), &table::json(frames, analysis))?;
-    write(&folder.join(MODES_CSV), &table::csv(frames, analysis))
+    write(&folder.join(MODES_JSON), &table::json(records, analysis))?;
+    write(&folder.join(MODES_CSV), &table::csv(records, analysis))
 }
 
 fn write(path: &Path, text: &str) -> Result<(), AppError> {

@@ -126,6 +126,14 @@ impl Plan {
         {
             return Err(AppError::NothingToFuse);
         }
+        let has_model = |watched: &Watched| watched.structure.has_model();
+        if [Services::IDENTIFY, Services::ALERT].contains(&services)
+            && !watched.iter().any(has_model)
+        {
+            return Err(AppError::NothingToIdentify {
+                service: services.name(),
+            });
+        }
         let is_judged = |watched: &Watched| watched.structure.judge().is_some();
         if services == Services::JUDGE && !watched.iter().any(is_judged) {
             return Err(AppError::NothingToJudge);
@@ -203,20 +211,28 @@ impl Plan {
             .watched
             .iter()
             .any(|watched| watched.structure.modal().is_some());
+        let has_model = |watched: &Watched| watched.structure.has_model();
         let (any_fused, any_whole) = (
             self.watched.iter().any(is_fused),
             self.watched.iter().any(|watched| !is_fused(watched)),
         );
+        let any_estimated = self
+            .watched
+            .iter()
+            .any(|watched| has_model(watched) && !is_fused(watched));
         let wanted = [
             (self.feed.is_some(), Need::PUT_SAMPLES),
             (services.has(Service::Ingest) && any_whole, Need::PUT_FRAMES),
             (
-                services.has(Service::Identify) && any_whole,
+                services.has(Service::Identify) && any_estimated,
                 Need::PUT_ESTIMATES,
             ),
             (services == Services::IDENTIFY && any_fused, Need::PUT_LOCAL),
             (services.has(Service::Fuse) && any_fused, Need::PUT_FEEDBACK),
-            (services.has(Service::Alert), Need::PUT_ALERTS),
+            (
+                services.has(Service::Alert) && self.watched.iter().any(has_model),
+                Need::PUT_ALERTS,
+            ),
             (
                 services.has(Service::Judge) && any_judged,
                 Need::PUT_JUDGEMENTS,

@@ -26,7 +26,7 @@ const DEFAULT_RECORD_S: f64 = 120.0;
 /// # Errors
 /// A file is not valid or cannot be written, or the bus cannot be joined.
 pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
-    let structure = Structure::read(&arguments.structure)?;
+    let structure = Structure::read_with_model(&arguments.structure)?;
     let seed = arguments.seed.unwrap_or(structure.simulation().seed());
     let frames = |seconds: f64| (seconds * structure.sampling_rate_hz()).round() as u64;
     if let Some(path) = &arguments.record {
@@ -211,6 +211,7 @@ fn wanted<'a>(
 pub fn readers(structure: &Structure) -> Vec<Service> {
     match structure.fusion() {
         Some(_) => vec![Service::Fuse],
+        None if !structure.has_model() => vec![Service::Ingest, Service::Modes],
         None => vec![Service::Ingest, Service::Identify, Service::Alert],
     }
 }

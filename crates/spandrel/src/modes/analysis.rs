@@ -8,7 +8,7 @@ use spandrel_modal::{
     BandLadder, CERTAIN_DAMPING, ChannelUse, EpochStream, LadderEpoch, ModalError, ModalSettings,
     ModeSummary, RecordModes, Source,
 };
-use spandrel_modes::{DeclaredModes, EpochOver, ModesOutput};
+use spandrel_modes::{DeclaredModes, EpochOver, ModesError, ModesOutput};
 use spandrel_structure::{ModalPlan, Structure};
 
 /// What the user has chosen.
@@ -41,6 +41,8 @@ pub struct Analysis {
     pub bands: Vec<ModalSettings>,
     /// The epochs, whose spectra the diagrams show.
     pub epochs: Vec<LadderEpoch>,
+    /// For each epoch, the position of its recording.
+    pub recording: Vec<usize>,
     /// Modes of each epoch.
     pub record: RecordModes,
     /// Modes and machines of the recording.
@@ -63,100 +65,103 @@ pub struct Absence {
     pub first: ChannelUse,
 }
 
-/// Identifies the modes of a recording.
+/// Identifies the modes of recordings of the same channels.
 ///
 /// # Errors
-/// A choice is not valid, or the recording is too short.
-pub fn analyse(frames: &Frames, choice: &Choice) -> Result<Analysis, AppError> {
-    let failed = |source: ModalError| AppError::Modal {
-        path: frames.path.clone(),
-        source,
-    };
-    let settings = settings(frames, choice)?;
-    let ladder = ladder(&settings, choice).map_err(failed)?;
+/// A choice is not valid, or all recordings are too short.
+pub fn analyse(records: &[Frames], choice: &Choice) -> Result<Analysis, AppError> {
+    let (frames, settings) = settings(records, choice)?;
+    let ladder = ladder(&settings, choice).map_err(|source| failed(frames, source))?;
     let stream = EpochStream::new(ladder, frames.rate_hz);
-    let epoch_s = settings.epoch_s;
-    identify(frames, stream, epoch_s, |_| {})
+    identify(records, &stream, settings.epoch_s, |_| {})
 }
 
-/// Identifies the modes of a recording as the service `modes` does for live frames.
+/// Identifies the modes of recordings as the service `modes` does for live frames.
 ///
 /// # Errors
-/// The recording is too short, or has no usable epoch.
+/// All recordings are too short, or have no usable epoch.
 pub fn follow(
-    frames: &Frames,
+    records: &[Frames],
     structure: &Structure,
     plan: &ModalPlan,
 ) -> Result<Analysis, AppError> {
-    let failed = |source: ModalError| AppError::Modal {
-        path: frames.path.clone(),
-        source,
-    };
-    let stream = plan.stream().map_err(failed)?;
+    let stream = plan.stream().map_err(ModesError::from)?;
     let mut declared = DeclaredModes::new(&Name::new(structure.name())?, plan)?;
     let mut outputs = Vec::new();
-    let mut analysis = identify(frames, stream, plan.settings.epoch_s, |over| {
+    let mut analysis = identify(records, &stream, plan.settings.epoch_s, |over| {
         declared.handle(over, &mut outputs);
     })?;
     analysis.declared = outputs;
     Ok(analysis)
 }
 
-/// Identifies the modes of each epoch, and passes them to `handle`.
+fn failed(frames: &Frames, source: ModalError) -> AppError {
+    AppError::Modal {
+        path: frames.path.clone(),
+        source,
+    }
+}
+
+/// Identifies the modes of each epoch, and passes them to `handle`. Each recording begins an epoch.
 fn identify(
-    frames: &Frames,
-    mut stream: EpochStream,
+    records: &[Frames],
+    fresh: &EpochStream,
     epoch_s: f64,
     mut handle: impl FnMut(EpochOver<'_>),
 ) -> Result<Analysis, AppError> {
-    let failed = |source: ModalError| AppError::Modal {
-        path: frames.path.clone(),
-        source,
-    };
-    let grid = TimeGrid::new(frames.start_ns, frames.rate_hz);
     let mut record = RecordModes::default();
     let mut epochs = Vec::new();
+    let mut recording = Vec::new();
     // An epoch with too few complete channels does not make the others useless.
     let mut skipped = None;
-    for (number, frame) in (0..).zip(frames.iter()) {
-        let Some(epoch) = stream.push(frame).map_err(failed)? else {
-            continue;
-        };
-        let found = match epoch.identify() {
-            Ok(found) => found,
-            Err(error @ ModalError::Channels { .. }) => {
-                skipped = Some(error);
+    for (position, frames) in records.iter().enumerate() {
+        let mut stream = fresh.clone();
+        let grid = TimeGrid::new(frames.start_ns, frames.rate_hz);
+        for (number, frame) in (0..).zip(frames.iter()) {
+            let epoch = stream
+                .push(frame)
+                .map_err(|source| failed(frames, source))?;
+            let Some(epoch) = epoch else {
                 continue;
-            }
-            Err(error) => return Err(failed(error)),
-        };
-        handle(EpochOver {
-            time_ns: grid.map_or(frames.start_ns, |grid| grid.time_ns(number)),
-            epoch: &epoch,
-            found: &found,
-        });
-        record.take(&epoch, found);
-        epochs.push(epoch);
+            };
+            let found = match epoch.identify() {
+                Ok(found) => found,
+                Err(error @ ModalError::Channels { .. }) => {
+                    skipped = Some(failed(frames, error));
+                    continue;
+                }
+                Err(error) => return Err(failed(frames, error)),
+            };
+            handle(EpochOver {
+                time_ns: grid.map_or(frames.start_ns, |grid| grid.time_ns(number)),
+                epoch: &epoch,
+                found: &found,
+            });
+            record.take(&epoch, found);
+            epochs.push(epoch);
+            recording.push(position);
+        }
     }
-    if let (Some(error), true) = (skipped, epochs.is_empty()) {
-        return Err(failed(error));
-    }
-    if epochs.is_empty() {
-        return Err(AppError::NoEpoch {
-            path: frames.path.clone(),
-            found_s: frames.length_s(),
+    let longest = records
+        .iter()
+        .max_by(|a, b| a.length_s().total_cmp(&b.length_s()));
+    if let (Some(longest), true) = (longest, epochs.is_empty()) {
+        return Err(skipped.unwrap_or_else(|| AppError::NoEpoch {
+            path: longest.path.clone(),
+            found_s: longest.length_s(),
             epoch_s,
-        });
+        }));
     }
     let is_certain = |mode: &ModeSummary| {
         mode.source == Source::Machine || mode.damping > CERTAIN_DAMPING * mode.damping_std
     };
     let (modes, uncertain): (Vec<_>, Vec<_>) = record.summary().into_iter().partition(is_certain);
     Ok(Analysis {
-        bands: stream.settings().cloned().collect(),
+        bands: fresh.settings().cloned().collect(),
         modes,
         uncertain: uncertain.len(),
         epochs,
+        recording,
         record,
         declared: Vec::new(),
     })
@@ -171,8 +176,8 @@ fn ladder(settings: &ModalSettings, choice: &Choice) -> Result<BandLadder, Modal
 
 /// Returns the channels that took no part in some epochs, with the number of these epochs and the
 /// reason of the first.
-pub fn absent(frames: &Frames, analysis: &Analysis) -> Vec<Absence> {
-    let named = frames.names.iter().enumerate();
+pub fn absent(names: &[String], analysis: &Analysis) -> Vec<Absence> {
+    let named = names.iter().enumerate();
     named
         .filter_map(|(position, name)| {
             let mut reasons = analysis.epochs.iter().filter_map(|epoch| {
@@ -189,9 +194,18 @@ pub fn absent(frames: &Frames, analysis: &Analysis) -> Vec<Absence> {
         .collect()
 }
 
-/// Returns the settings for a recording: the choice of the user, and epochs that fill the recording.
-fn settings(frames: &Frames, choice: &Choice) -> Result<ModalSettings, AppError> {
-    let mut settings = ModalSettings::new(frames.names.len(), frames.rate_hz);
+/// Returns the settings for recordings: the choice of the user, and epochs that fill the shortest
+/// recording that is long enough. Also returns this recording.
+fn settings<'f>(
+    records: &'f [Frames],
+    choice: &Choice,
+) -> Result<(&'f Frames, ModalSettings), AppError> {
+    let Some(first) = records.first() else {
+        return Err(AppError::FilesOfModes {
+            found: "no recording is given",
+        });
+    };
+    let mut settings = ModalSettings::new(first.names.len(), first.rate_hz);
     if let Some((lowest_hz, highest_hz)) = choice.band_hz {
         (settings.lowest_hz, settings.highest_hz) = (lowest_hz, highest_hz);
     }
@@ -199,33 +213,35 @@ fn settings(frames: &Frames, choice: &Choice) -> Result<ModalSettings, AppError>
         settings.highest_order = highest_order;
     }
     if !choice.references.is_empty() {
-        let positions = choice.references.iter().map(|name| frames.position(name));
+        let positions = choice.references.iter().map(|name| first.position(name));
         settings.references = positions.collect::<Result<_, _>>()?;
     }
     if let Some(epoch_s) = choice.epoch_s {
         settings.epoch_s = epoch_s;
-        return Ok(settings);
+        return Ok((first, settings));
     }
-    // The start-up of the lowest band leaves less for the epochs, which may remove this band.
-    let failed = |source: ModalError| AppError::Modal {
-        path: frames.path.clone(),
-        source,
+    let at_least_s = settings.shortest_epoch_s() + settings.start_up_s();
+    let by_length = |a: &&Frames, b: &&Frames| a.length_s().total_cmp(&b.length_s());
+    let long = records
+        .iter()
+        .filter(|frames| frames.length_s() >= at_least_s);
+    let Some(frames) = long.min_by(by_length) else {
+        let longest = records.iter().max_by(by_length).unwrap_or(first);
+        return Err(AppError::TooShort {
+            path: longest.path.clone(),
+            found_s: longest.length_s(),
+            at_least_s,
+        });
     };
+    // The start-up of the lowest band leaves less for the epochs, which may remove this band.
     let mut start_up_s = settings.start_up_s();
     for _ in 0..2 {
         let usable_s = frames.length_s() - start_up_s;
-        if usable_s < settings.shortest_epoch_s() {
-            return Err(AppError::TooShort {
-                path: frames.path.clone(),
-                found_s: frames.length_s(),
-                at_least_s: settings.shortest_epoch_s() + settings.start_up_s(),
-            });
-        }
         let epochs = (usable_s / ModalSettings::EPOCH_S).round().max(1.0);
-        settings.epoch_s = usable_s / epochs;
-        let bands = ladder(&settings, choice).map_err(failed)?;
+        settings.epoch_s = (usable_s / epochs).max(settings.shortest_epoch_s());
+        let bands = ladder(&settings, choice).map_err(|source| failed(frames, source))?;
         let all = bands.settings().map(ModalSettings::start_up_s);
         start_up_s = all.fold(0.0, f64::max);
     }
-    Ok(settings)
+    Ok((frames, settings))
 }

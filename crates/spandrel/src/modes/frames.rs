@@ -1,9 +1,10 @@
 //! The channels of a recording as frames of equal times.
 
 use crate::error::AppError;
-use spandrel_record::{ReadOptions, RecordError, RecordedChannel, RecordedFile};
+use spandrel_record::{Format, ReadOptions, RecordError, RecordedChannel, RecordedFile};
 use spandrel_sensor::{open_record, recorded_rows};
-use spandrel_structure::{ModalPlan, Structure};
+use spandrel_structure::{Channel, ModalPlan, Structure};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Relative tolerance within which two sampling rates are equal.
@@ -89,90 +90,97 @@ fn unknown_channel<'n>(path: &Path, name: &str, known: impl Iterator<Item = &'n 
     }
 }
 
+/// Where recordings come from, and how they are read.
+#[derive(Debug, Clone, Copy)]
+pub enum Reading<'a> {
+    /// All channels of each file.
+    Files(&'a ReadOptions, Selection<'a>),
+    /// The channels of a structure, with the columns, units and rate of its structure file.
+    Structure(&'a Structure, Selection<'a>),
+    /// The channels of a table `[modal]`. All of them are kept, as in live frames.
+    Plan(&'a Structure, &'a ModalPlan),
+}
+
+/// The columns of one recording.
+struct Loaded<'p> {
+    grid: Grid<'p>,
+    columns: Vec<Column>,
+}
+
+/// Returns the recordings of a folder: its files if all of them have the same two or more channels,
+/// and otherwise the folder as a whole.
+///
+/// # Errors
+/// The folder or one of its files cannot be read.
+pub fn recordings(path: &Path, options: &ReadOptions) -> Result<Vec<PathBuf>, AppError> {
+    let whole = vec![path.to_owned()];
+    if !path.is_dir() {
+        return Ok(whole);
+    }
+    let file = RecordedFile::read(path, options)?;
+    // Channels of one name have the name of their file before it.
+    let mut of_file: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for channel in file.channels() {
+        match channel.name().split_once('/') {
+            Some((stem, name)) => of_file.entry(stem).or_default().push(name),
+            None => return Ok(whole),
+        }
+    }
+    let mut channels = of_file.values();
+    let first = channels.next();
+    let is_same = first
+        .is_some_and(|first| first.len() >= LEAST_CHANNELS && channels.all(|other| other == first));
+    if file.format() != Format::Folder || of_file.len() < 2 || !is_same {
+        return Ok(whole);
+    }
+    let cannot_list = |source| AppError::Io {
+        what: format!("{}: cannot be listed", path.display()),
+        source,
+    };
+    let mut members = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(cannot_list)? {
+        let member = entry.map_err(cannot_list)?.path();
+        let stem = member.file_stem().map(|stem| stem.to_string_lossy());
+        if stem.is_some_and(|stem| of_file.contains_key(&*stem)) {
+            members.push(member);
+        }
+    }
+    members.sort_unstable();
+    Ok(members)
+}
+
 impl Frames {
-    /// Reads the channels of a recording as they are in the file.
+    /// Reads recordings of the same channels at the same rate.
     ///
     /// # Errors
-    /// The file is not valid, a channel has no or another sampling rate, or fewer than two channels
-    /// are of use.
-    pub fn read(
-        path: &Path,
-        options: &ReadOptions,
-        selection: Selection<'_>,
-    ) -> Result<Self, AppError> {
-        let file = RecordedFile::read(path, options)?;
-        let all = file.channels();
-        selection.check(path, all.iter().map(RecordedChannel::name))?;
-        let chosen: Vec<&RecordedChannel> = all
-            .iter()
-            .filter(|channel| selection.takes(channel.name()))
-            .collect();
-        let rate_hz = common_rate(path, &chosen)?;
-        let start_ns = chosen.iter().filter_map(|channel| channel.start_ns()).min();
-        let start_ns = start_ns.unwrap_or(0);
-        let columns = chosen
-            .iter()
-            .map(|channel| Column {
-                name: channel.name().to_owned(),
-                values: channel
-                    .timed_samples()
-                    .map(|(time_ns, value)| (frame_of(time_ns, start_ns, rate_hz), value))
-                    .collect(),
+    /// A file is not valid or does not match the structure file, a channel has no or another
+    /// sampling rate, a recording has other channels than the first, or fewer than two channels are
+    /// of use.
+    pub fn read(paths: &[PathBuf], reading: Reading<'_>) -> Result<Vec<Self>, AppError> {
+        let loaded = paths.iter().map(|path| Loaded::read(path, reading));
+        let loaded: Vec<Loaded<'_>> = loaded.collect::<Result<_, _>>()?;
+        if let Some(first) = loaded.first() {
+            loaded.iter().try_for_each(|other| other.check(first))?;
+        }
+        let count = loaded.first().map_or(0, |loaded| loaded.columns.len());
+        let useless: Vec<Option<&'static str>> = (0..count)
+            .map(|position| match reading {
+                Reading::Plan(..) => None,
+                Reading::Files(..) | Reading::Structure(..) => uselessness(&loaded, position),
             })
             .collect();
-        let (used, left_out) = useful(columns);
-        Self::of(
-            Grid {
-                path,
-                rate_hz,
-                start_ns,
-            },
-            used,
-            left_out,
-        )
-    }
-
-    /// Reads the channels of a structure, with the columns, units and rate of its structure file.
-    ///
-    /// # Errors
-    /// As for [`Self::read()`]. Also, the recording does not match the structure file.
-    pub fn of_structure(
-        path: &Path,
-        structure: &Structure,
-        selection: Selection<'_>,
-    ) -> Result<Self, AppError> {
-        let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
-        selection.check(path, names.iter().copied())?;
-        let (start_ns, mut columns) = columns(path, structure)?;
-        columns.retain(|column| selection.takes(&column.name));
-        let (used, left_out) = useful(columns);
-        let rate_hz = structure.sampling_rate_hz();
-        Self::of(
-            Grid {
-                path,
-                rate_hz,
-                start_ns,
-            },
-            used,
-            left_out,
-        )
-    }
-
-    /// Reads the channels of a table `[modal]`. All of them are kept, as in live frames.
-    ///
-    /// # Errors
-    /// As for [`Self::of_structure()`].
-    pub fn of_plan(path: &Path, structure: &Structure, plan: &ModalPlan) -> Result<Self, AppError> {
-        let (start_ns, columns) = columns(path, structure)?;
-        let numbered = columns.into_iter().enumerate();
-        let used = numbered.filter(|(position, _)| plan.channels.contains(position));
-        let rate_hz = structure.sampling_rate_hz();
-        let grid = Grid {
-            path,
-            rate_hz,
-            start_ns,
-        };
-        Self::of(grid, used.map(|(_, column)| column).collect(), Vec::new())
+        let frames = loaded.into_iter().map(|loaded| {
+            let mut left_out = Vec::new();
+            let mut used = Vec::new();
+            for (column, useless) in loaded.columns.into_iter().zip(&useless) {
+                match useless {
+                    Some(reason) => left_out.push((column.name, *reason)),
+                    None => used.push(column),
+                }
+            }
+            Self::of(loaded.grid, used, left_out)
+        });
+        frames.collect()
     }
 
     fn of(
@@ -242,6 +250,118 @@ impl Frames {
     }
 }
 
+impl<'p> Loaded<'p> {
+    fn read(path: &'p Path, reading: Reading<'_>) -> Result<Self, AppError> {
+        match reading {
+            Reading::Files(options, selection) => Self::of_file(path, options, selection),
+            Reading::Structure(structure, selection) => {
+                let names: Vec<&str> = structure.channels().map(Channel::name).collect();
+                selection.check(path, names.iter().copied())?;
+                let mut loaded = Self::of_structure(path, structure)?;
+                loaded
+                    .columns
+                    .retain(|column| selection.takes(&column.name));
+                Ok(loaded)
+            }
+            Reading::Plan(structure, plan) => {
+                let loaded = Self::of_structure(path, structure)?;
+                let numbered = loaded.columns.into_iter().enumerate();
+                let used = numbered.filter(|(position, _)| plan.channels.contains(position));
+                Ok(Self {
+                    columns: used.map(|(_, column)| column).collect(),
+                    ..loaded
+                })
+            }
+        }
+    }
+
+    fn of_file(
+        path: &'p Path,
+        options: &ReadOptions,
+        selection: Selection<'_>,
+    ) -> Result<Self, AppError> {
+        let file = RecordedFile::read(path, options)?;
+        let all = file.channels();
+        selection.check(path, all.iter().map(RecordedChannel::name))?;
+        let chosen: Vec<&RecordedChannel> = all
+            .iter()
+            .filter(|channel| selection.takes(channel.name()))
+            .collect();
+        let rate_hz = common_rate(path, &chosen)?;
+        let start_ns = chosen.iter().filter_map(|channel| channel.start_ns()).min();
+        let start_ns = start_ns.unwrap_or(0);
+        let columns = chosen.iter().map(|channel| Column {
+            name: channel.name().to_owned(),
+            values: channel
+                .timed_samples()
+                .map(|(time_ns, value)| (frame_of(time_ns, start_ns, rate_hz), value))
+                .collect(),
+        });
+        Ok(Self {
+            grid: Grid {
+                path,
+                rate_hz,
+                start_ns,
+            },
+            columns: columns.collect(),
+        })
+    }
+
+    /// Reads the channels of a structure, with the time of the first frame.
+    fn of_structure(path: &'p Path, structure: &Structure) -> Result<Self, AppError> {
+        let rate_hz = structure.sampling_rate_hz();
+        let mut columns: Vec<Column> = structure
+            .channels()
+            .map(|channel| Column {
+                name: channel.name().to_owned(),
+                values: Vec::new(),
+            })
+            .collect();
+        let mut start_ns = None;
+        for row in recorded_rows(open_record(structure, path)?, 0) {
+            let row = row?;
+            let start_ns = *start_ns.get_or_insert(row.time_ns);
+            let frame = frame_of(row.time_ns, start_ns, rate_hz);
+            for (column, value) in columns.iter_mut().zip(&row.values) {
+                column.values.push((frame, *value));
+            }
+        }
+        Ok(Self {
+            grid: Grid {
+                path,
+                rate_hz,
+                start_ns: start_ns.unwrap_or(0),
+            },
+            columns,
+        })
+    }
+
+    /// Checks that the recording has the channels and the rate of the first one.
+    fn check(&self, first: &Self) -> Result<(), AppError> {
+        let names = |loaded: &Self| {
+            let names = loaded.columns.iter().map(|column| column.name.as_str());
+            names.collect::<Vec<_>>().join(", ")
+        };
+        let same_rate = SAME_RATE * first.grid.rate_hz;
+        let (found, expected) = match (names(self), names(first)) {
+            (found, expected) if found != expected => {
+                (format!("channels {found}"), format!("channels {expected}"))
+            }
+            _ if (self.grid.rate_hz - first.grid.rate_hz).abs() > same_rate => (
+                format!("{} Hz", self.grid.rate_hz),
+                format!("{} Hz", first.grid.rate_hz),
+            ),
+            _ => return Ok(()),
+        };
+        Err(AppError::UnlikeRecordings {
+            path: self.grid.path.to_owned(),
+            found,
+            first: first.grid.path.to_owned(),
+            expected,
+        })
+    }
+}
+
 /// Formats channels without use, each with its reason.
 pub fn listed(left_out: &[(String, &'static str)]) -> String {
     let each = left_out
@@ -250,57 +370,25 @@ pub fn listed(left_out: &[(String, &'static str)]) -> String {
     each.collect::<Vec<_>>().join(", ")
 }
 
-/// Reads the channels of a structure, with the time of the first frame (ns).
-fn columns(path: &Path, structure: &Structure) -> Result<(i64, Vec<Column>), AppError> {
-    let rate_hz = structure.sampling_rate_hz();
-    let mut columns: Vec<Column> = structure
-        .channels()
-        .map(|channel| Column {
-            name: channel.name().to_owned(),
-            values: Vec::new(),
-        })
-        .collect();
-    let mut start_ns = None;
-    for row in recorded_rows(open_record(structure, path)?, 0) {
-        let row = row?;
-        let start_ns = *start_ns.get_or_insert(row.time_ns);
-        let frame = frame_of(row.time_ns, start_ns, rate_hz);
-        for (column, value) in columns.iter_mut().zip(&row.values) {
-            column.values.push((frame, *value));
-        }
-    }
-    Ok((start_ns.unwrap_or(0), columns))
-}
-
-/// Divides columns into used ones, and those without use with the reason.
-fn useful(columns: Vec<Column>) -> (Vec<Column>, Vec<(String, &'static str)>) {
-    let mut left_out = Vec::new();
-    let mut used = Vec::new();
-    for column in columns {
-        match uselessness(&column) {
-            Some(reason) => left_out.push((column.name, reason)),
-            None => used.push(column),
-        }
-    }
-    (used, left_out)
-}
-
 fn frame_of(time_ns: i64, start_ns: i64, rate_hz: f64) -> usize {
     // A time before the start saturates to frame 0.
     (time_ns.saturating_sub(start_ns) as f64 * rate_hz / 1e9).round() as usize
 }
 
-/// Returns why a channel is of no use, or `None` if it is.
-fn uselessness(column: &Column) -> Option<&'static str> {
-    let mut present = column.values.iter().map(|(_, value)| *value);
-    let first = present.find(|value| value.is_finite());
-    match first {
-        None => Some("no sample"),
-        Some(first) => present
-            .filter(|value| value.is_finite())
-            .all(|value| value == first)
-            .then_some("constant"),
-    }
+/// Returns why a channel is of no use in any of the recordings, or `None` if it is in one.
+fn uselessness(loaded: &[Loaded<'_>], position: usize) -> Option<&'static str> {
+    let reasons = loaded.iter().map(|loaded| {
+        let values = &loaded.columns[position].values;
+        let mut present = values.iter().map(|(_, value)| *value);
+        match present.find(|value| value.is_finite()) {
+            None => Some("no sample"),
+            Some(first) => present
+                .filter(|value| value.is_finite())
+                .all(|value| value == first)
+                .then_some("constant"),
+        }
+    });
+    reasons.reduce(|one, other| one.and(other)).flatten()
 }
 
 fn common_rate(path: &Path, channels: &[&RecordedChannel]) -> Result<f64, RecordError> {

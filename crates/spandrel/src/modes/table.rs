@@ -8,31 +8,81 @@ use spandrel_bus::{Event, ModeDisplay};
 use spandrel_modal::{ChannelUse, ModeSummary, Source};
 use spandrel_modes::ModesOutput;
 use std::fmt::Write as _;
+use std::path::Path;
+
+/// Ratio of the scatter of frequencies to their stated deviation above which recordings differ. With
+/// two epochs, chance exceeds it in 0.3 % of the modes, and with more epochs more rarely.
+const DIFFERS: f64 = 3.0;
+
+/// Recordings of the same channels, and the path by which the user has named them.
+#[derive(Debug, Clone, Copy)]
+pub struct Recordings<'a> {
+    /// The path of a file or folder.
+    pub path: &'a Path,
+    /// The recordings, of which there is at least one.
+    pub all: &'a [Frames],
+    /// The first one.
+    pub first: &'a Frames,
+}
+
+impl Recordings<'_> {
+    /// Returns the length of all recordings (s).
+    fn length_s(&self) -> f64 {
+        self.all.iter().map(Frames::length_s).sum()
+    }
+
+    /// Returns the recordings without an epoch.
+    fn unused(&self, analysis: &Analysis) -> Vec<&Frames> {
+        let numbered = self.all.iter().enumerate();
+        numbered
+            .filter(|(position, _)| !analysis.recording.contains(position))
+            .map(|(_, frames)| frames)
+            .collect()
+    }
+
+    fn name(&self, position: usize) -> String {
+        let path = self.all.get(position).map(|frames| frames.path.display());
+        path.map(|path| path.to_string()).unwrap_or_default()
+    }
+}
 
 /// Returns the table for people.
-pub fn text(frames: &Frames, analysis: &Analysis) -> String {
+pub fn text(records: Recordings<'_>, analysis: &Analysis) -> String {
+    let frames = records.first;
     let epoch_s = analysis
         .record
         .epochs()
         .first()
         .map_or(0.0, |epoch| epoch.length_s);
     let mut text = format!(
-        "{}: {} channels at {} Hz, {:.1} s, {} of {epoch_s:.1} s\n",
-        frames.path.display(),
+        "{}: {}{} channels at {} Hz, {:.1} s, {} of {epoch_s:.1} s\n",
+        records.path.display(),
+        match records.all.len() {
+            1 => String::new(),
+            several => format!("{several} recordings, "),
+        },
         frames.names.len(),
         frames.rate_hz,
-        frames.length_s(),
+        records.length_s(),
         counted(analysis.epochs.len(), "epoch", "epochs"),
     );
-    if !frames.left_out.is_empty() {
+    for unused in records.unused(analysis) {
         // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "no epoch in {}, which is {:.1} s long",
+            unused.path.display(),
+            unused.length_s()
+        );
+    }
+    if !frames.left_out.is_empty() {
         let _ = writeln!(text, "left out: {}", listed(&frames.left_out));
     }
     for Absence {
         channel,
         epochs,
         first,
-    } in absent(frames, analysis)
+    } in absent(&frames.names, analysis)
     {
         let reason = match first {
             ChannelUse::Used => "used".to_owned(),
@@ -80,7 +130,30 @@ pub fn text(frames: &Frames, analysis: &Analysis) -> String {
             "not listed: {modes} whose damping ratio is less than twice its standard deviation"
         );
     }
-    text + &declared_text(analysis)
+    text + &differing_text(records, analysis) + &declared_text(analysis)
+}
+
+/// Names the modes whose frequency differs between recordings by more than chance.
+fn differing_text(records: Recordings<'_>, analysis: &Analysis) -> String {
+    let modes = analysis.modes.iter();
+    let numbered = modes.filter(|mode| mode.source == Source::Mode).zip(1..);
+    let differs = |mode: &ModeSummary| {
+        let limit_hz = DIFFERS * mode.frequency_std_hz;
+        mode.frequency_scatter_hz
+            .is_some_and(|scatter_hz| scatter_hz > limit_hz)
+    };
+    let differing: Vec<String> = numbered
+        .filter(|(mode, _)| differs(mode))
+        .map(|(_, number): (_, u32)| number.to_string())
+        .collect();
+    if records.all.len() == 1 || differing.is_empty() {
+        return String::new();
+    }
+    format!(
+        "the recordings differ: scatter above {DIFFERS} times the stated deviation in mode {}; --csv \
+         writes the frequencies of each recording\n",
+        differing.join(", ")
+    )
 }
 
 fn displays(analysis: &Analysis) -> impl Iterator<Item = &ModeDisplay> {
@@ -138,7 +211,8 @@ fn declared_text(analysis: &Analysis) -> String {
 }
 
 /// Returns the modes as one JSON object.
-pub fn json(frames: &Frames, analysis: &Analysis) -> String {
+pub fn json(records: Recordings<'_>, analysis: &Analysis) -> String {
+    let frames = records.first;
     let modes: Vec<Value> = analysis
         .modes
         .iter()
@@ -148,7 +222,8 @@ pub fn json(frames: &Frames, analysis: &Analysis) -> String {
         .record
         .epochs()
         .iter()
-        .map(|epoch| {
+        .zip(&analysis.recording)
+        .map(|(epoch, position)| {
             let modes: Vec<Value> = epoch
                 .found
                 .modes
@@ -164,6 +239,7 @@ pub fn json(frames: &Frames, analysis: &Analysis) -> String {
                 })
                 .collect();
             json!({
+                "recording": records.name(*position),
                 "end_s": epoch.end as f64 / frames.rate_hz,
                 "length_s": epoch.length_s,
                 "modes": modes,
@@ -175,11 +251,19 @@ pub fn json(frames: &Frames, analysis: &Analysis) -> String {
         .iter()
         .map(|(channel, reason)| json!({ "channel": channel, "reason": reason }))
         .collect();
+    let recordings: Vec<Value> = records
+        .all
+        .iter()
+        .map(|frames| {
+            json!({ "path": frames.path.display().to_string(), "length_s": frames.length_s() })
+        })
+        .collect();
     let all = json!({
-        "path": frames.path.display().to_string(),
+        "path": records.path.display().to_string(),
+        "recordings": recordings,
         "channels": frames.names,
         "left_out": left_out,
-        "left_out_of_epochs": absent(frames, analysis),
+        "left_out_of_epochs": absent(&frames.names, analysis),
         "sampling_rate_hz": frames.rate_hz,
         "modes": modes,
         "uncertain_modes": analysis.uncertain,
@@ -212,12 +296,13 @@ fn mode_json(frames: &Frames, mode: &ModeSummary) -> Value {
     object
 }
 
-/// Returns one row per epoch and mode as CSV. Times are seconds since the start of the recording.
-pub fn csv(frames: &Frames, analysis: &Analysis) -> String {
-    let mut text =
-        "end [s],mode,frequency [Hz],frequency std [Hz],damping,damping std,complexity\n"
-            .to_owned();
-    for epoch in analysis.record.epochs() {
+/// Returns one row per epoch and mode as CSV. Times are seconds since the start of the recording,
+/// which is numbered from 1.
+pub fn csv(records: Recordings<'_>, analysis: &Analysis) -> String {
+    let mut text = "recording,end [s],mode,frequency [Hz],frequency std [Hz],damping,damping std,\
+                    complexity\n"
+        .to_owned();
+    for (epoch, position) in analysis.record.epochs().iter().zip(&analysis.recording) {
         for (mode, id) in epoch.found.modes.iter().zip(&epoch.of_mode) {
             let known = analysis
                 .modes
@@ -231,8 +316,9 @@ pub fn csv(frames: &Frames, analysis: &Analysis) -> String {
             };
             let _ = writeln!(
                 text,
-                "{},{name},{},{},{},{},{}",
-                epoch.end as f64 / frames.rate_hz,
+                "{},{},{name},{},{},{},{},{}",
+                position + 1,
+                epoch.end as f64 / records.first.rate_hz,
                 mode.frequency_hz,
                 mode.frequency_std_hz,
                 mode.damping,

@@ -9,7 +9,7 @@ use super::judgements::judgement_texts;
 use super::modes::mode_texts;
 use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
-use super::wording::{duration, estimate, lag, nothing_measured, printable, time};
+use super::wording::{NO_MODEL, duration, estimate, lag, nothing_measured, printable, time};
 use spandrel_bus::{AlertMessage, Load, Name, Service};
 use spandrel_listener::StructureState;
 use std::fmt::Write as _;
@@ -70,7 +70,10 @@ pub fn structure_line(name: &Name, structure: &StructureState) -> String {
         .trim_end()
         .to_owned()
     });
-    let parameters: Vec<String> = parameters.collect();
+    let mut parameters: Vec<String> = parameters.collect();
+    if structure.has_only_modes() {
+        parameters.push(NO_MODEL.to_owned());
+    }
     let stale = structure
         .stale_for()
         .map(|silence| format!("stale {}: ", duration(silence)));
@@ -242,6 +245,18 @@ mod tests {
         assert_eq!(
             line(&heard),
             "2024-02-29 12:01:01 UTC tower storey-1 1.000 ± 0.100"
+        );
+    }
+
+    /// Before the first epoch is over, only the frames show that data arrive.
+    #[test]
+    fn structure_without_a_model_does_not_lack_data() {
+        let services = [(Service::Ingest, "a"), (Service::Modes, "a")];
+        let frames = [60, 61].map(|second| Input::Ingested(name("tower"), progress(7, second)));
+        let heard = heard([present(&services)].into_iter().chain(frames));
+        assert_eq!(
+            line(&heard),
+            "2024-02-29 12:01:01 UTC tower no model: natural frequencies only; ingest/a, modes/a"
         );
     }
 

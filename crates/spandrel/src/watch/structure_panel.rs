@@ -9,8 +9,8 @@ use super::natural_name::in_order;
 use super::nodes::panel_lines;
 use super::trail::Trail;
 use super::wording::{
-    duration, estimate, lag, nothing_measured, printable, probability, share, significant,
-    state_counts, state_style, time,
+    NO_MODEL, duration, estimate, lag, nothing_measured, printable, probability, share,
+    significant, state_counts, state_style, time,
 };
 use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
@@ -95,10 +95,12 @@ impl StructurePanel {
             header: header(axis, columns, &losses),
             rows: rows.collect(),
             footer: footer(heard, name, structure, width),
-            nothing_measured: Line::from(if structure.noise.is_empty() {
-                nothing_measured(structure)
-            } else {
+            nothing_measured: Line::from(if !structure.noise.is_empty() {
                 "no parameters: motion and noise levels"
+            } else if structure.has_only_modes() {
+                NO_MODEL
+            } else {
+                nothing_measured(structure)
             }),
         }
     }

@@ -138,6 +138,9 @@ pub fn printable(text: &str) -> String {
         .collect()
 }
 
+/// The text in place of the parameters of a structure without a model.
+pub const NO_MODEL: &str = "no model: natural frequencies only";
+
 /// Returns the text for a structure without values. If it has alerts, there were values before this
 /// view was opened.
 pub fn nothing_measured(structure: &StructureState) -> &'static str {

@@ -6,6 +6,7 @@ use crate::linear_system::{LARGEST_MODEL, LinearSystem};
 use crate::matrix_file;
 use crate::mesh::{MassForm, MemberGroup, MemberSection, Mesh, MeshNode};
 use crate::section::{Allowed, NumberOrName, Section, is_name};
+use crate::skeleton::{Line, Skeleton, Up};
 use crate::{frame, truss};
 use nalgebra::Vector3;
 use toml::Spanned;
@@ -74,7 +75,7 @@ pub(super) fn read_mesh(section: &mut Section<'_>, kind: MeshKind) -> Option<Lin
         .choice("mass", &MASS_FORMS)
         .map_or(kind.default_mass(), Spanned::into_inner);
     let sections = read_sections(section, kind);
-    let places = read_places(section, kind);
+    let places = read_places(section, kind.coordinates());
     let groups = section.tables("group");
     let supports = section.tables("support");
     if groups.is_empty() {
@@ -172,8 +173,48 @@ fn read_section(
     Some((name?, section))
 }
 
-/// Reads the nodes with given coordinates.
-fn read_places(section: &mut Section<'_>, kind: MeshKind) -> Option<Places> {
+/// Reads the places of the sensors of a structure without a model, and the lines between them.
+///
+/// Both are optional. Without nodes, there is no skeleton.
+pub(super) fn read_skeleton(section: &mut Section<'_>) -> Option<Option<Skeleton>> {
+    let places = match section.contains("nodes") {
+        true => read_places(section, &[2, 3]),
+        false => Some(Places::default()),
+    };
+    let paths = match section.contains("paths") {
+        true => section.paths("paths"),
+        false => Some(Vec::new()),
+    };
+    section.leave_unread(&["nodes", "paths"]);
+    let (mut places, paths) = (places?, paths?);
+    let ends = paths
+        .iter()
+        .map(|path| read_path(section, path, &mut places));
+    let ends = ends
+        .collect::<Vec<_>>()
+        .into_iter()
+        .collect::<Option<Vec<_>>>()?;
+    if places.names.is_empty() {
+        return Some(None);
+    }
+    let up = match places.dimension {
+        2 => Up::Y,
+        _ => Up::Z,
+    };
+    Some(Some(Skeleton {
+        is_held: vec![false; places.names.len()],
+        points: places.names.into_iter().zip(places.at).collect(),
+        lines: ends
+            .concat()
+            .into_iter()
+            .map(|ends| Line { ends, parts: 0..0 })
+            .collect(),
+        up,
+    }))
+}
+
+/// Reads the nodes with given coordinates, of which `coordinates` are allowed numbers.
+fn read_places(section: &mut Section<'_>, coordinates: &[usize]) -> Option<Places> {
     let entries = section.entries("nodes");
     section.require(
         "nodes",
@@ -195,10 +236,10 @@ fn read_places(section: &mut Section<'_>, kind: MeshKind) -> Option<Places> {
             continue;
         }
         let found = at.get_ref().len();
-        let fits = kind.coordinates().contains(&found)
-            && (places.dimension == 0 || places.dimension == found);
+        let fits =
+            coordinates.contains(&found) && (places.dimension == 0 || places.dimension == found);
         if !fits {
-            let allowed = match (places.dimension, kind.coordinates()) {
+            let allowed = match (places.dimension, coordinates) {
                 (0, [only]) => format!("must have {only}"),
                 (0, several) => format!("must have one of {several:?}"),
                 (dimension, _) => format!("must have {dimension} like the previous nodes"),

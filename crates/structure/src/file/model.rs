@@ -2,7 +2,7 @@
 
 use super::chain::{read_chain, read_hysteretic_chain};
 use super::matrices::read_matrices;
-use super::mesh::{MeshKind, read_mesh};
+use super::mesh::{MeshKind, read_mesh, read_skeleton};
 use super::tower::read_tower;
 use crate::linear_system::LinearSystem;
 use crate::modes::Modes;
@@ -16,16 +16,25 @@ enum Kind {
     Truss,
     Tower,
     Matrices,
+    Modal,
 }
 
-const KINDS: [(&str, Kind); 6] = [
+const KINDS: [(&str, Kind); 7] = [
     ("shear-building", Kind::ShearBuilding),
     ("bouc-wen", Kind::BoucWen),
     ("frame", Kind::Frame),
     ("truss", Kind::Truss),
     ("tower", Kind::Tower),
     ("matrices", Kind::Matrices),
+    ("modal", Kind::Modal),
 ];
+
+/// What is allowed of tables and keys that need a model.
+pub(super) const WITHOUT_A_MODEL: &str = "must not be given with kind = \"modal\", which has no \
+                                          model to identify";
+/// What a command allows that needs a model.
+pub(super) const WITH_A_MODEL: &str = "must be a kind with masses and stiffnesses: this command \
+                                       needs a model";
 
 /// A model and its modes, which take seconds for a thousand degrees of freedom.
 pub(super) struct ModelRead {
@@ -33,7 +42,7 @@ pub(super) struct ModelRead {
     pub(super) modes: Modes,
 }
 
-/// Reads `[model]`; the damping of the result is still zero.
+/// Reads `[model]`; the damping of the result is still zero. The kind `modal` gives an empty system.
 pub(super) fn read_model(mut section: Section<'_>) -> Option<ModelRead> {
     let kind = section.required_choice("kind", &KINDS)?;
     let system = match kind.into_inner() {
@@ -43,9 +52,13 @@ pub(super) fn read_model(mut section: Section<'_>) -> Option<ModelRead> {
         Kind::Truss => read_mesh(&mut section, MeshKind::Truss),
         Kind::Tower => read_tower(&mut section),
         Kind::Matrices => read_matrices(&mut section),
+        Kind::Modal => read_skeleton(&mut section).map(LinearSystem::empty),
     };
     let model = system.and_then(|system| {
-        let modes = checked_modes(&section, &system)?;
+        let modes = match system.is_empty() {
+            true => Modes::none(),
+            false => checked_modes(&section, &system)?,
+        };
         Some(ModelRead { system, modes })
     });
     section.finish();

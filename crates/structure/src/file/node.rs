@@ -1,11 +1,28 @@
 //! Reads `[[node]]` with its channels.
 
-use super::check_unique;
+use super::model::WITHOUT_A_MODEL;
+use super::{check_unique, find_name};
 use crate::diagnostics::{counted, one_of};
 use crate::linear_system::LinearSystem;
-use crate::node::{Channel, Node, Quantity};
+use crate::node::{Channel, Direction, Node, Quantity};
 use crate::section::{Allowed, NumberOrName, Section};
 use toml::Spanned;
+
+const DIRECTIONS: [(&str, Direction); 3] = [
+    ("x", Direction::X),
+    ("y", Direction::Y),
+    ("z", Direction::Z),
+];
+
+/// Keys of a channel that only a model gives a meaning.
+const OF_MODELS: [&str; 6] = [
+    "dof",
+    "dofs",
+    "coefficients",
+    "noise-std",
+    "noise-group",
+    "adapt-noise",
+];
 
 /// A channel, with the properties that noise levels need.
 pub(super) struct ChannelRead {
@@ -105,9 +122,14 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
     let name = section.required_name("name");
     let quantity = section.required_choice("quantity", &Quantity::WORDS);
     let unit = section.text("unit");
-    let noise_std = section.required_number("noise-std", Allowed::DEVIATION);
-    let noise_group = section.name("noise-group");
-    let adapts_noise = section.flag_or("adapt-noise", false);
+    let is_modal = system.is_some_and(LinearSystem::is_empty);
+    let noise = match is_modal {
+        true => {
+            section.refuse_keys(&OF_MODELS, WITHOUT_A_MODEL);
+            ChannelNoise::NOT_USED
+        }
+        false => read_noise(&mut section),
+    };
     let range = section.number("range", Allowed::POSITIVE);
     let quantity = quantity.map(Spanned::into_inner);
     let unit_rule = quantity.map_or_else(
@@ -134,7 +156,14 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
             allowed,
         );
     }
-    let sensed = quantity.and_then(|quantity| read_sensed(&mut section, quantity, system));
+    let place = match system.filter(|system| system.is_empty()) {
+        Some(system) => read_place(&mut section, system),
+        None => Some((None, None)),
+    };
+    let sensed = match is_modal {
+        true => Some(Vec::new()),
+        false => quantity.and_then(|quantity| read_sensed(&mut section, quantity, system)),
+    };
     if quantity.is_none() {
         section.leave_unread(&["dof", "dofs", "coefficients"]);
     }
@@ -151,19 +180,68 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
     }
     section.finish();
     let (name, quantity) = (name?, quantity?);
+    let (point, direction) = place?;
     let channel = Channel {
         name: name.get_ref().clone(),
         quantity,
         sensed: sensed?,
-        noise_std: noise_std?.into_inner(),
+        point,
+        direction,
+        noise_std: noise.std?,
         range: range.map_or_else(|| quantity.default_range(), Spanned::into_inner),
     };
     Some(ChannelRead {
         channel,
         name,
-        noise_group,
-        adapts_noise,
+        noise_group: noise.group,
+        adapts_noise: noise.adapts,
     })
+}
+
+/// What a filter must know of the noise of a channel.
+struct ChannelNoise {
+    /// `None` if it could not be read.
+    std: Option<f64>,
+    group: Option<Spanned<String>>,
+    adapts: bool,
+}
+
+impl ChannelNoise {
+    /// Without a filter, nothing needs to be known.
+    const NOT_USED: Self = Self {
+        std: Some(0.0),
+        group: None,
+        adapts: false,
+    };
+}
+
+fn read_noise(section: &mut Section<'_>) -> ChannelNoise {
+    let std = section.required_number("noise-std", Allowed::DEVIATION);
+    ChannelNoise {
+        std: std.map(Spanned::into_inner),
+        group: section.name("noise-group"),
+        adapts: section.flag_or("adapt-noise", false),
+    }
+}
+
+/// Reads point and direction of a sensor of a structure without a model.
+fn read_place(
+    section: &mut Section<'_>,
+    system: &LinearSystem,
+) -> Option<(Option<usize>, Option<Direction>)> {
+    let at = section.number_or_name("at");
+    let direction = section.choice("direction", &DIRECTIONS);
+    let Some(at) = at else {
+        return (!section.contains("at")).then_some((None, direction.map(Spanned::into_inner)));
+    };
+    let name = match at.get_ref() {
+        NumberOrName::Number(number) => number.to_string(),
+        NumberOrName::Name(name) => name.clone(),
+    };
+    let points = system.skeleton.iter().flat_map(|skeleton| &skeleton.points);
+    let names = points.map(|(name, _)| name.as_str());
+    let point = find_name(section, "at", &Spanned::new(at.span(), name), names)?;
+    Some((Some(point), direction.map(Spanned::into_inner)))
 }
 
 /// Reads the degrees of freedom that a channel senses; empty if it measures an excitation.

@@ -160,3 +160,140 @@ fn every_mistake_names_line_key_and_allowed_values() {
         assert!(found.contains(said), "{to}: {found}");
     }
 }
+
+const SENSORS_ONLY: &str = include_str!("../../../../../docs/examples/modes/sensors-only.toml");
+
+fn sensors_only(from: &str, to: &str) -> Result<Structure, StructureError> {
+    assert!(SENSORS_ONLY.contains(from), "{from}");
+    let text = SENSORS_ONLY.replacen(from, to, 1);
+    Structure::parse(&text, Path::new("sensors-only.toml"))
+}
+
+#[test]
+fn sensors_alone_are_a_structure_without_a_model() {
+    let structure = sensors_only("", "").unwrap();
+    assert!(!structure.has_model() && parse("").unwrap().has_model());
+    assert!(structure.parameters().is_empty() && structure.noise_levels().is_empty());
+    assert!(structure.natural_frequencies_hz().is_empty());
+    assert_eq!(structure.modal().unwrap().names.len(), 5);
+    let drawing = structure.drawing();
+    let heights: Vec<f64> = drawing
+        .sensors
+        .iter()
+        .map(|sensor| drawing.points[sensor.point.unwrap()].y)
+        .collect();
+    assert_eq!(heights, [3.0, 6.0, 9.0, 12.0, 15.0]);
+    assert_eq!(drawing.members.len(), 5);
+    assert!(drawing.members.iter().all(|member| member.parts.is_empty()));
+}
+
+/// The smallest file: names of sensors, and no table `[modal]`.
+#[test]
+fn names_of_sensors_are_enough() {
+    let text = "[structure]\nname = \"bridge\"\nsampling-rate-hz = 50\n\
+         [model]\nkind = \"modal\"\n\
+         [[node]]\nname = \"deck\"\n\
+         [[node.channel]]\nname = \"left\"\nquantity = \"velocity\"\nunit = \"m/s\"\n\
+         [[node.channel]]\nname = \"right\"\nquantity = \"velocity\"\nunit = \"m/s\"\n";
+    let bridge = Structure::parse(text, Path::new("bridge.toml")).unwrap();
+    let plan = bridge.modal().unwrap();
+    assert_eq!((plan.names.len(), plan.settings.epoch_s), (2, 600.0));
+    assert!(bridge.drawing().points.is_empty());
+    let one = text.split("[[node.channel]]\nname = \"right\"").next();
+    let told = Structure::parse(one.unwrap(), Path::new("bridge.toml")).unwrap_err();
+    let told = told.to_string();
+    assert!(
+        told.starts_with("bridge.toml:4: modal.without: leaves 1"),
+        "{told}"
+    );
+}
+
+#[test]
+fn what_needs_a_model_is_refused_at_its_line() {
+    let no_model = "must not be given with kind = \"modal\", which has no model to identify";
+    let node = "[[node]]";
+    for (from, to, line, said) in [
+        (
+            node,
+            "[[parameter]]\nname = \"all\"\n\n[[node]]",
+            17,
+            format!("parameter: is given, {no_model}"),
+        ),
+        (
+            node,
+            "[damping]\nratio = 0.02\n\n[[node]]",
+            17,
+            format!("damping: is given, {no_model}"),
+        ),
+        (
+            node,
+            "[[alert]]\nloss = 0.1\n\n[[node]]",
+            17,
+            format!("alert: is given, {no_model}"),
+        ),
+        (
+            "at = \"floor-1\"",
+            "noise-std = 0.1",
+            24,
+            format!("node.channel.noise-std: is given, {no_model}"),
+        ),
+        (
+            "at = \"floor-1\"",
+            "dof = \"floor-1\"",
+            24,
+            format!("node.channel.dof: is given, {no_model}"),
+        ),
+        (
+            "at = \"floor-1\"",
+            "at = \"floor-7\"",
+            24,
+            "node.channel.at: is \"floor-7\", must be one of ground, floor-1, ".to_owned(),
+        ),
+        (
+            "direction = \"x\"",
+            "direction = \"up\"",
+            25,
+            "node.channel.direction: is \"up\", must be one of \"x\", \"y\", \"z\"".to_owned(),
+        ),
+        (
+            "floor-5 = [0, 15]",
+            "floor-5 = [0, 15, 0]",
+            14,
+            "model.nodes.floor-5: has 3 coordinates, must have 2 like the previous nodes"
+                .to_owned(),
+        ),
+        (
+            "floor-5 = [0, 15] }",
+            "floor-4 = [0, 15] }",
+            15,
+            "model.paths: ends in node floor-5, which has no coordinates, ".to_owned(),
+        ),
+        (
+            "sampling-rate-hz = 100",
+            "sampling-rate-hz = 100\nidentification = \"distributed\"",
+            9,
+            "structure.identification: is \"distributed\", must not be".to_owned(),
+        ),
+    ] {
+        let told = sensors_only(from, to).unwrap_err().to_string();
+        let expected = format!("sensors-only.toml:{line}: {said}");
+        assert!(
+            told.contains(&expected),
+            "{to}: {told}\nexpected: {expected}"
+        );
+    }
+}
+
+#[test]
+fn command_that_needs_a_model_names_the_line_of_the_kind() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("bridge.toml");
+    std::fs::write(&path, SENSORS_ONLY).unwrap();
+    assert!(Structure::read(&path).is_ok());
+    let told = Structure::read_with_model(&path).unwrap_err().to_string();
+    let expected = ":13: model.kind: is \"modal\", must be a kind with masses and stiffnesses: this \
+                    command needs a model";
+    assert!(told.ends_with(expected), "{told}");
+    std::fs::write(&path, DEMO).unwrap();
+    assert!(Structure::read_with_model(&path).is_ok());
+}

@@ -1,0 +1,187 @@
+//! Whether a structure without a model needs attention: its natural frequencies, and what is judged
+//! of them.
+
+use crate::overview::Level;
+use crate::store::Store;
+use spandrel_bus::{JudgementState, ModeState};
+
+/// Returns the level and the sentence of a structure without a model that gives no concern.
+pub(crate) fn attention(store: &Store) -> (Level, String) {
+    let state = &store.state;
+    let followed = store.about.modes.len();
+    let unjudged = state
+        .judgements
+        .values()
+        .find(|judgement| judgement.state != JudgementState::Judged);
+    let (level, sentence) = match unjudged {
+        _ if state.silence().is_none() => (Level::Learning, "waiting for the first samples"),
+        _ if followed == 0 => (
+            Level::Undecided,
+            "no natural frequency is declared; the events propose those that persist",
+        ),
+        _ if state.modes.is_empty() => (
+            Level::Learning,
+            "waiting for the end of the first epoch of natural frequencies",
+        ),
+        _ if store.about.judged.is_empty() => (
+            Level::Undecided,
+            "natural frequencies are followed, and [judge] judges none of them",
+        ),
+        _ if state.judgements.is_empty() => (Level::Learning, "no judgement yet"),
+        Some(judgement) if judgement.state == JudgementState::Learning => {
+            (Level::Learning, judgement.sentence.as_str())
+        }
+        Some(judgement) => (Level::Undecided, judgement.sentence.as_str()),
+        None => (
+            Level::Normal,
+            "no lasting change found in the judged natural frequencies",
+        ),
+    };
+    (level, sentence.to_owned())
+}
+
+/// Returns what is wrong with a structure without a model, the most urgent first.
+pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
+    if store.about.has_model {
+        return Vec::new(); // its alerts tell it
+    }
+    let changed = store.state.judgements.values();
+    let changed = changed.filter(|judgement| judgement.change.is_some());
+    let mut concerns: Vec<(Level, String)> = changed
+        .map(|judgement| match judgement.seen {
+            Some(_) => (Level::Notice, judgement.sentence.clone()),
+            None => (Level::Warning, judgement.sentence.clone()),
+        })
+        .collect();
+    let modes = store.state.modes.values();
+    let lost: Vec<&str> = modes
+        .filter(|mode| mode.state == ModeState::Lost)
+        .map(|mode| mode.mode.as_str())
+        .collect();
+    if !lost.is_empty() {
+        let sentence = format!(
+            "not found often enough for a statement: {}",
+            lost.join(", ")
+        );
+        concerns.push((Level::Warning, sentence));
+    }
+    concerns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::overview::overview;
+    use crate::testing::{at, lasting_loss, mode, present, sensors_only};
+    use spandrel_bus::{
+        ChangeSeen, Header, JudgementDisplay, ModeDisplay, ModeEstimate, Name, Progress, Service,
+        ShapeValue,
+    };
+    use spandrel_listener::Input;
+
+    /// Returns the progress of ingest to the frame at `second`.
+    fn ingested(second: i64) -> Input {
+        let header = Header {
+            source: "ingest".to_owned(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: second * 1_000_000_000,
+        };
+        let progress = Progress {
+            header,
+            done: 0,
+            kept: 0,
+        };
+        Input::Ingested(Name::new("sensors-only").unwrap(), progress)
+    }
+
+    /// Returns the store after two messages of progress, without any estimate.
+    fn measuring() -> Store {
+        let mut store = sensors_only();
+        let services = [(Service::Ingest, "ingest"), (Service::Modes, "modes")];
+        store.handle(present(&services));
+        for second in [1, 2] {
+            store.handle(at(second as f64));
+            store.handle(ingested(second));
+        }
+        store
+    }
+
+    fn found(store: &Store) -> (Level, String) {
+        let overview = overview(store);
+        (overview.level, overview.sentence)
+    }
+
+    #[test]
+    fn frames_without_estimates_are_data() {
+        let mut store = measuring();
+        let (level, sentence) = found(&store);
+        assert_eq!(level, Level::Learning, "{sentence}");
+        assert!(sentence.contains("first epoch"), "{sentence}");
+        // Ingest repeats its progress although no frame arrives.
+        for second in [10, 60] {
+            store.handle(at(second as f64));
+            store.handle(ingested(2));
+        }
+        let (level, sentence) = found(&store);
+        assert_eq!(level, Level::Stale, "{sentence}");
+    }
+
+    #[test]
+    fn sensor_that_took_no_part_in_an_epoch_is_named() {
+        let mut store = measuring();
+        let shape = (1..5).map(|floor| ShapeValue {
+            channel: format!("floor-{floor}"),
+            value: [1.0, 0.0],
+            std: 0.0,
+        });
+        let display = mode("sway-1", 600);
+        let estimate = display.estimate.clone().map(|estimate| ModeEstimate {
+            shape: shape.collect(),
+            ..estimate
+        });
+        store.handle(Input::Mode(Box::new(ModeDisplay {
+            estimate,
+            ..display
+        })));
+        let overview = overview(&store);
+        assert_eq!((overview.sensors.alive, overview.sensors.total), (4, 5));
+        assert_eq!(
+            overview.sentence,
+            "not used: floor-5; the natural frequencies use the other sensors"
+        );
+    }
+
+    #[test]
+    fn lasting_change_of_a_frequency_is_told_until_somebody_has_seen_it() {
+        let mut store = measuring();
+        store.handle(Input::Mode(Box::new(mode("sway-1", 600))));
+        let changed = lasting_loss("sway-1");
+        store.handle(Input::Judgement(changed.clone()));
+        assert_eq!(found(&store), (Level::Warning, changed.sentence.clone()));
+        let seen = ChangeSeen {
+            who: "Ada".to_owned(),
+            text: "new asphalt".to_owned(),
+            time_ns: 0,
+        };
+        store.handle(Input::Judgement(JudgementDisplay {
+            seen: Some(seen),
+            ..changed.clone()
+        }));
+        assert_eq!(found(&store), (Level::Notice, changed.sentence.clone()));
+        store.handle(Input::Judgement(JudgementDisplay {
+            change: None,
+            state: JudgementState::Judged,
+            ..changed
+        }));
+        assert_eq!(found(&store).0, Level::Normal);
+        store.handle(Input::Mode(Box::new(ModeDisplay {
+            state: ModeState::Lost,
+            estimate: None,
+            ..mode("sway-1", 1200)
+        })));
+        let (level, sentence) = found(&store);
+        assert_eq!(level, Level::Warning);
+        assert!(sentence.ends_with("sway-1"), "{sentence}");
+    }
+}

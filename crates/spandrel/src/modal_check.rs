@@ -1,0 +1,299 @@
+//! Report of a check of a structure without a model, as text for people and as JSON: what its
+//! natural frequencies can tell, and what they cannot.
+//!
+//! The JSON object has the following fields:
+//!
+//! - `structure`, `description`, `sampling_rate_hz`, `channels`, `nodes`: as in the file
+//! - `epoch_s`, `start_up_s`: length of an epoch, and of the time before the first one
+//! - `bands`: list of objects with `lowest_hz`, `highest_hz` and `highest_order`
+//! - `modes`: the declared modes, with `name`, `frequency_hz`, `lowest_hz` and `highest_hz` of the
+//!   range in which it is first looked for, `frequency_std_hz` (the smallest standard deviation of
+//!   one epoch at a damping ratio of `damping`), `stiffness_std` (the share of the stiffness that
+//!   corresponds to it), and whether it is `judged`
+//! - `can_tell`, `cannot_tell`, `warnings`: sentences
+
+use crate::commands::counted;
+use crate::error::AppError;
+use serde::Serialize;
+use spandrel_judge::QuantityKind;
+use spandrel_modal::{ModalSettings, smallest_uncertainty};
+use spandrel_structure::{ModalPlan, Structure};
+use std::fmt;
+
+/// Damping ratio for which uncertainties are stated: that of many bridges and tall buildings.
+const DAMPING: f64 = 0.01;
+
+/// The report of a checked structure without a model.
+#[derive(Debug, Clone, Serialize)]
+pub struct ModalCheckPage {
+    structure: String,
+    description: String,
+    sampling_rate_hz: f64,
+    channels: usize,
+    nodes: usize,
+    epoch_s: f64,
+    start_up_s: f64,
+    damping: f64,
+    bands: Vec<Band>,
+    modes: Vec<ModeLine>,
+    can_tell: Vec<String>,
+    cannot_tell: Vec<&'static str>,
+    warnings: Vec<String>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct Band {
+    lowest_hz: f64,
+    highest_hz: f64,
+    highest_order: usize,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct ModeLine {
+    name: String,
+    frequency_hz: f64,
+    lowest_hz: f64,
+    highest_hz: f64,
+    frequency_std_hz: f64,
+    stiffness_std: f64,
+    judged: bool,
+}
+
+impl ModalCheckPage {
+    /// Creates the page of a structure with a table `[modal]`.
+    ///
+    /// # Errors
+    /// The settings of the table do not fit each other, which reading the file has excluded.
+    pub fn new(structure: &Structure, plan: &ModalPlan) -> Result<Self, AppError> {
+        let stream = plan.stream().map_err(spandrel_modes::ModesError::from)?;
+        let settings: Vec<&ModalSettings> = stream.settings().collect();
+        // The epochs of several bands are equally long.
+        let epoch_s = settings
+            .first()
+            .map_or(plan.settings.epoch_s, |settings| settings.epoch_s);
+        let start_up_s = settings.iter().map(|settings| settings.start_up_s());
+        let bands = settings.iter().map(|settings| Band {
+            lowest_hz: settings.lowest_hz.max(settings.lowest_mode_hz),
+            highest_hz: settings.highest_hz,
+            highest_order: settings.highest_order,
+        });
+        let judged = structure.judge().into_iter();
+        let judged = judged.flat_map(|plan| &plan.settings.quantities);
+        let judged: Vec<&str> = judged
+            .filter(|quantity| quantity.kind == QuantityKind::Frequency)
+            .map(|quantity| quantity.name.as_str())
+            .collect();
+        let modes = plan.modes.iter().map(|mode| {
+            let std_hz = smallest_uncertainty(mode.frequency_hz, DAMPING, epoch_s).frequency_hz;
+            ModeLine {
+                name: mode.name.clone(),
+                frequency_hz: mode.frequency_hz,
+                lowest_hz: mode.frequency_hz * (1.0 - mode.within),
+                highest_hz: mode.frequency_hz * (1.0 + mode.within),
+                frequency_std_hz: std_hz,
+                stiffness_std: 2.0 * std_hz / mode.frequency_hz, // f ∝ √k
+                judged: judged.contains(&mode.name.as_str()),
+            }
+        });
+        let modes: Vec<ModeLine> = modes.collect();
+        let channels = plan.channels.len();
+        Ok(Self {
+            structure: structure.name().to_owned(),
+            description: structure.description().to_owned(),
+            sampling_rate_hz: structure.sampling_rate_hz(),
+            channels,
+            nodes: structure.nodes().len(),
+            epoch_s,
+            start_up_s: start_up_s.fold(0.0, f64::max),
+            damping: DAMPING,
+            bands: bands.collect(),
+            can_tell: can_tell(structure, channels, &modes),
+            cannot_tell: vec![
+                "which part of the structure has changed",
+                "stiffnesses, displacements, strains and forces",
+                "changes that last for less than an epoch",
+            ],
+            warnings: warnings(&modes),
+            modes,
+        })
+    }
+
+    /// Returns the report as one line with a JSON object.
+    pub fn json(&self) -> String {
+        // Cannot fail, because the object contains only names and numbers.
+        serde_json::to_string(self).map_or_else(|error| error.to_string(), |line| line + "\n")
+    }
+}
+
+fn can_tell(structure: &Structure, channels: usize, modes: &[ModeLine]) -> Vec<String> {
+    let mut all = vec![format!(
+        "natural frequencies, damping ratios and shapes at {channels} channels after each epoch"
+    )];
+    let judged: Vec<&str> = modes
+        .iter()
+        .filter(|mode| mode.judged)
+        .map(|mode| mode.name.as_str())
+        .collect();
+    if let (Some(plan), false) = (structure.judge(), judged.is_empty()) {
+        let days = plan.settings.commissioning_days;
+        all.push(format!(
+            "lasting changes of {}, after a commissioning of {days} days",
+            judged.join(", ")
+        ));
+    }
+    all
+}
+
+fn warnings(modes: &[ModeLine]) -> Vec<String> {
+    let mut all = Vec::new();
+    if modes.is_empty() {
+        all.push(
+            "no mode is declared, so that none is published; spandrel modes RECORD --declare \
+             prints the tables [[modal.mode]] for a recording"
+                .to_owned(),
+        );
+    }
+    for (position, mode) in modes.iter().enumerate() {
+        let overlaps = |other: &&ModeLine| {
+            mode.lowest_hz < other.highest_hz && other.lowest_hz < mode.highest_hz
+        };
+        for other in modes[position + 1..].iter().filter(overlaps) {
+            all.push(format!(
+                "{} and {} are first looked for in overlapping ranges; a smaller `within` keeps \
+                 them apart",
+                mode.name, other.name
+            ));
+        }
+    }
+    if !modes.is_empty() && !modes.iter().any(|mode| mode.judged) {
+        all.push(
+            "[judge] judges no natural frequency, so that no lasting change is reported".to_owned(),
+        );
+    }
+    all
+}
+
+impl fmt::Display for ModalCheckPage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let separator = if self.description.is_empty() {
+            ""
+        } else {
+            ": "
+        };
+        writeln!(f, "{}{separator}{}", self.structure, self.description)?;
+        writeln!(
+            f,
+            "no model: natural frequencies only; {} on {}, {} Hz",
+            counted(self.channels, "channel", "channels"),
+            counted(self.nodes, "node", "nodes"),
+            self.sampling_rate_hz
+        )?;
+        writeln!(
+            f,
+            "\nepochs of {:.1} s, the first after {:.1} s\n",
+            self.epoch_s,
+            self.epoch_s + self.start_up_s
+        )?;
+        writeln!(f, "  band (Hz)           highest order")?;
+        for band in &self.bands {
+            let range = format!("{:.3} to {:.3}", band.lowest_hz, band.highest_hz);
+            writeln!(f, "  {range:18}  {:>13}", band.highest_order)?;
+        }
+        if !self.modes.is_empty() {
+            self.write_modes(f)?;
+        }
+        writeln!(f)?;
+        for text in &self.can_tell {
+            writeln!(f, "can tell: {text}")?;
+        }
+        for text in &self.cannot_tell {
+            writeln!(f, "cannot tell: {text}")?;
+        }
+        if !self.warnings.is_empty() {
+            writeln!(f)?;
+        }
+        for text in &self.warnings {
+            writeln!(f, "warning: {text}")?;
+        }
+        Ok(())
+    }
+}
+
+impl ModalCheckPage {
+    fn write_modes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = self.modes.iter().map(|mode| mode.name.len());
+        let width = names.max().unwrap_or(0).max("declared mode".len());
+        writeln!(
+            f,
+            "\n  {:width$}  frequency (Hz)  looked for (Hz)   ± (Hz)  ± stiffness (%)",
+            "declared mode"
+        )?;
+        for mode in &self.modes {
+            let range = format!("{:.3} to {:.3}", mode.lowest_hz, mode.highest_hz);
+            writeln!(
+                f,
+                "  {:width$}  {:>14.4}  {range:>15}  {:>7.4}  {:>15.2}",
+                mode.name,
+                mode.frequency_hz,
+                mode.frequency_std_hz,
+                100.0 * mode.stiffness_std
+            )?;
+        }
+        writeln!(
+            f,
+            "\n  ±: smallest standard deviation of one epoch at a damping ratio of {} %",
+            100.0 * self.damping
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    const SENSORS_ONLY: &str = include_str!("../../../docs/examples/modes/sensors-only.toml");
+
+    fn page(text: &str) -> ModalCheckPage {
+        let structure = Structure::parse(text, Path::new("sensors-only.toml")).unwrap();
+        ModalCheckPage::new(&structure, structure.modal().unwrap()).unwrap()
+    }
+
+    /// Au (2014): √(0.01/(2π · 300)) = 0.2303 % of 1 Hz in 300 s, twice that of the stiffness.
+    #[test]
+    fn resolution_is_that_of_the_uncertainty_law() {
+        let page = page(SENSORS_ONLY);
+        let first = &page.modes[0];
+        assert!(
+            (first.frequency_std_hz - 0.002_303).abs() < 1e-6,
+            "{first:?}"
+        );
+        assert!((first.stiffness_std - 0.004_607).abs() < 1e-6, "{first:?}");
+        let text = page.to_string();
+        assert!(text.contains("epochs of 300.0 s"), "{text}");
+        assert!(
+            text.contains("lasting changes of sway-1, sway-2, after"),
+            "{text}"
+        );
+        assert!(text.contains("cannot tell: which part"), "{text}");
+        assert!(page.warnings.is_empty(), "{text}");
+    }
+
+    #[test]
+    fn missing_modes_and_overlapping_ranges_are_warned_of() {
+        let (before, _) = SENSORS_ONLY.split_once("[modal]").unwrap();
+        let bare = page(before);
+        assert_eq!(bare.warnings.len(), 1, "{bare}");
+        assert!(bare.bands.len() > 1, "{bare}");
+        let near = page(&SENSORS_ONLY.replacen("frequency-hz = 2.92", "frequency-hz = 1.1", 1));
+        assert_eq!(near.warnings.len(), 1, "{near}");
+        assert!(near.warnings[0].starts_with("sway-1 and sway-2 "), "{near}");
+        let (unjudged, _) = SENSORS_ONLY.split_once("[judge]").unwrap();
+        let unjudged = page(unjudged);
+        assert!(
+            unjudged.warnings[0].starts_with("[judge] judges no"),
+            "{unjudged}"
+        );
+        assert!(!unjudged.json().contains("null"));
+    }
+}
