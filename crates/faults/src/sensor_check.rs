@@ -166,7 +166,8 @@ impl SensorCheck {
         let mut changes = Vec::new();
         for (group, state) in self.groups.iter().zip(&mut self.state.groups) {
             let of_group = || group.channels.iter().map(|channel| values[*channel]);
-            state.offsets.take(of_group());
+            let weight = group.spectrum.weight_in_quarter(&state.windows);
+            state.offsets.take(of_group(), weight);
             state.powers.take(&group.filters, of_group());
             for (extremes, value) in state.extremes.iter_mut().zip(of_group()) {
                 extremes.take(value);
