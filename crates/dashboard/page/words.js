@@ -198,6 +198,9 @@ const FAULTS = {
   delay: ({ delay_s }) => `${Math.abs(1000 * delay_s).toFixed(0)} ms ${delay_s < 0 ? "before" : "after"} the others`,
   dead: () => "does not follow the others",
   disturbed: () => "measures something that the others do not",
+  drift: () => "its offset drifts",
+  clipped: () => "its peaks are cut off",
+  exchanged: () => "exchanged with another one",
 };
 
 /** Returns how a channel compares with the others, in the columns of the table of sensors. */

@@ -40,6 +40,16 @@ const WRONG_SIGN: f64 = 50.0;
 /// Independent values per bin and window, which overlap.
 const INDEPENDENT: f64 = 0.2;
 
+/// Share of the variance of the incoherent part that moves the factor and the delay from one record
+/// to the next.
+///
+/// Most of the incoherent part is the same in all records. In 18 records of Painter Street, the
+/// factors scatter by less than half of what an independent incoherent part would cause.
+const INCOHERENT_SHARE: f64 = 0.25;
+
+/// Standard deviation of the elastic part of the designed response, as a share of it.
+const MODEL_STD: f64 = 0.1;
+
 /// Least coherence of the channels that count as sound. Below it, they have no common motion.
 const COHERENT: f64 = 0.6;
 
@@ -61,6 +71,9 @@ pub(crate) struct Expected {
 pub(crate) struct Responses {
     /// Response per frequency scale, channel and bin.
     of_scales: Vec<Vec<Vec<Complex<f64>>>>,
+    /// Mean elastic part of the response per frequency scale and channel, as a share of the rigid
+    /// one.
+    elastic: Vec<Vec<f64>>,
     frequencies_hz: Vec<f64>,
     fundamental_hz: f64,
     /// Distance of the tried delays (s).
@@ -83,6 +96,8 @@ pub(crate) struct Relation {
     variance: f64,
     /// Variance of the delay (s²) by the incoherent part.
     delay_variance: f64,
+    /// Variance of the logarithm of the factor by the error of the model.
+    model_variance: f64,
 }
 
 /// The result of one comparison.
@@ -106,7 +121,19 @@ impl Responses {
             let bins = frequencies_hz.iter();
             bins.map(|hz| response(channel, scale * hz)).collect()
         };
-        let of_scale = |scale: f64| (0..channels).map(|one| of_channel(one, scale)).collect();
+        let of_scale = |scale: f64| -> Vec<Vec<Complex<f64>>> {
+            (0..channels).map(|one| of_channel(one, scale)).collect()
+        };
+        let of_scales: Vec<Vec<Vec<Complex<f64>>>> = SCALES.into_iter().map(of_scale).collect();
+        let elastic = |(channel, row): (usize, &Vec<Complex<f64>>)| {
+            let rigid = response(channel, 0.0);
+            let parts = row.iter().map(|one| (one / rigid - 1.0).norm());
+            parts.sum::<f64>() / row.len() as f64
+        };
+        let elastic = of_scales
+            .iter()
+            .map(|scale| scale.iter().enumerate().map(elastic).collect())
+            .collect();
         let (longest, steps) = LONGEST_DELAY;
         let delay_step_s = longest / (fundamental_hz * f64::from(steps));
         let turns = (-steps..=steps).map(|step| {
@@ -114,7 +141,8 @@ impl Responses {
             frequencies_hz.iter().map(|hz| turn(*hz, delay_s)).collect()
         });
         Self {
-            of_scales: SCALES.into_iter().map(of_scale).collect(),
+            of_scales,
+            elastic,
             delay_step_s,
             turns: turns.collect(),
             frequencies_hz,
@@ -184,7 +212,7 @@ pub(crate) fn compare(
     let spectra = &everything[scale];
     let sums = spectra.sums(&used);
     let relations: Vec<Option<Relation>> = (0..used.len())
-        .map(|channel| present[channel].then(|| judge.relation(spectra, &sums, &used, channel)))
+        .map(|channel| present[channel].then(|| judge.relation(scale, &sums, &used, channel)))
         .collect();
     let sound = relations.iter().zip(&used).filter(|(_, used)| **used);
     let least = sound
@@ -277,14 +305,14 @@ impl Judge<'_> {
             let sound = (0..used.len())
                 .filter(|channel| used[*channel])
                 .map(|channel| {
-                    let relation = self.relation(spectra, &sums, &used, channel);
+                    let relation = self.relation(index, &sums, &used, channel);
                     relation.ln_sound(&self.expected[channel], self.responses.fundamental_hz)
                 });
             // A channel alone agrees with itself.
             let sound: f64 = if sums.count > 1.0 { sound.sum() } else { 0.0 };
             let faulty = faulty.map_or(0.0, |channel| {
-                let relation = self.relation(spectra, &sums, &used, channel);
-                relation.ln_faulty(self.responses.fundamental_hz)
+                let relation = self.relation(index, &sums, &used, channel);
+                relation.ln_faulty(&self.expected[channel], self.responses.fundamental_hz)
             });
             (sound + faulty + prior - 0.5 * of_scale * of_scale, index)
         };
@@ -293,7 +321,9 @@ impl Judge<'_> {
     }
 
     /// Relates a channel to the mean of the other channels in use.
-    fn relation(&self, spectra: &Spectra, sums: &Sums, used: &[bool], channel: usize) -> Relation {
+    fn relation(&self, scale: usize, sums: &Sums, used: &[bool], channel: usize) -> Relation {
+        let spectra = &self.spectra[scale];
+        let elastic = &self.responses.elastic[scale];
         let own = usize::from(used[channel]) as f64;
         let others = (sums.count - own).max(1.0);
         let bins = 0..spectra.bins;
@@ -307,13 +337,19 @@ impl Judge<'_> {
             crossed.push((to - own * auto) / Complex::from(others));
             power += auto;
         }
-        Relation::new(
-            &others_power,
-            &crossed,
-            power,
-            self.responses,
-            self.effective_windows,
-        )
+        let squares = elastic.iter().zip(used).filter(|(_, used)| **used);
+        let of_others: f64 = squares.map(|(one, _)| one * one).sum();
+        let of_model = elastic[channel].powi(2) + of_others / sums.count.max(1.0);
+        Relation {
+            model_variance: MODEL_STD * MODEL_STD * of_model,
+            ..Relation::new(
+                &others_power,
+                &crossed,
+                power,
+                self.responses,
+                self.effective_windows,
+            )
+        }
     }
 }
 
@@ -366,6 +402,7 @@ impl Relation {
             power: power / sum,
             variance,
             delay_variance: variance / (angular * angular).max(f64::MIN_POSITIVE),
+            model_variance: 0.0,
         }
     }
 
@@ -378,31 +415,60 @@ impl Relation {
         libm::log(self.gain.abs().max(1e-3))
     }
 
-    /// Returns the logarithm of the likelihood if the channel is sound.
-    fn ln_sound(&self, expected: &Expected, fundamental_hz: f64) -> f64 {
-        let gain = ln_normal(
-            self.ln_gain() - expected.ln_gain.0,
-            expected.ln_gain.1.powi(2) + self.variance,
-        );
-        let period = fundamental_hz * fundamental_hz;
+    /// Returns the variances of the logarithm of the factor and of the delay (s²) of a sound
+    /// channel.
+    fn variances(&self, expected: &Expected) -> (f64, f64) {
+        (
+            expected.ln_gain.1.powi(2) + INCOHERENT_SHARE * self.variance + self.model_variance,
+            expected.delay_s.1.powi(2) + INCOHERENT_SHARE * self.delay_variance,
+        )
+    }
+
+    /// Returns the logarithms of the likelihoods of a sound channel: of its factor, of its delay,
+    /// and of its coherence.
+    fn ln_sound_parts(&self, expected: &Expected, fundamental_hz: f64) -> [f64; 3] {
+        let (of_gain, of_delay) = self.variances(expected);
+        let gain = ln_normal(self.ln_gain() - expected.ln_gain.0, of_gain);
         let delay = ln_normal(
             (self.delay_s - expected.delay_s.0) * fundamental_hz,
-            (expected.delay_s.1.powi(2) + self.delay_variance) * period,
+            of_delay * fundamental_hz * fundamental_hz,
         );
         let (allowed, scatter) = UNEXPLAINED;
         let unexplained = ((1.0 - self.coherence).sqrt() - allowed).max(0.0) / scatter;
-        let sign = if self.gain < 0.0 { WRONG_SIGN } else { 0.0 };
-        gain + delay - sign - 0.5 * unexplained * unexplained
+        [gain, delay, -0.5 * unexplained * unexplained]
+    }
+
+    /// Returns the logarithm of the likelihood if the channel is sound.
+    fn ln_sound(&self, expected: &Expected, fundamental_hz: f64) -> f64 {
+        let sound: f64 = self.ln_sound_parts(expected, fundamental_hz).iter().sum();
+        sound - self.wrong_sign()
+    }
+
+    fn wrong_sign(&self) -> f64 {
+        if self.gain < 0.0 { WRONG_SIGN } else { 0.0 }
     }
 
     /// Returns the logarithm of the likelihood if the channel has a fault of unknown size.
-    fn ln_faulty(&self, fundamental_hz: f64) -> f64 {
+    ///
+    /// The fault changes the factor, the delay, both, or only the coherence, with equal
+    /// probability.
+    fn ln_faulty(&self, expected: &Expected, fundamental_hz: f64) -> f64 {
+        let [gain, delay, coherence] = self.ln_sound_parts(expected, fundamental_hz);
         let ln_gain = self.ln_gain().clamp(-2.0, 2.0);
-        ln_normal(ln_gain, FAULTY_GAIN_STD * FAULTY_GAIN_STD)
-            + ln_normal(
-                self.delay_s * fundamental_hz,
-                FAULTY_DELAY_STD * FAULTY_DELAY_STD,
-            )
+        let any_gain = ln_normal(ln_gain, FAULTY_GAIN_STD * FAULTY_GAIN_STD);
+        let any_delay = ln_normal(
+            self.delay_s * fundamental_hz,
+            FAULTY_DELAY_STD * FAULTY_DELAY_STD,
+        );
+        let faults = [
+            any_gain + any_delay,
+            any_gain + delay + coherence,
+            gain + any_delay + coherence - self.wrong_sign(),
+            gain + delay,
+        ];
+        let most = faults.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let weights = faults.iter().map(|one| libm::exp(one - most));
+        most + libm::log(weights.sum::<f64>() / faults.len() as f64)
     }
 
     /// Returns the fault that explains the relation best.
@@ -416,10 +482,9 @@ impl Relation {
         if self.gain < 0.0 {
             return Fault::Sign(-self.gain);
         }
-        let of_gain = (self.ln_gain() - expected.ln_gain.0).powi(2)
-            / (expected.ln_gain.1.powi(2) + self.variance);
-        let of_delay = (self.delay_s - expected.delay_s.0).powi(2)
-            / (expected.delay_s.1.powi(2) + self.delay_variance);
+        let (gain_variance, delay_variance) = self.variances(expected);
+        let of_gain = (self.ln_gain() - expected.ln_gain.0).powi(2) / gain_variance;
+        let of_delay = (self.delay_s - expected.delay_s.0).powi(2) / delay_variance;
         match of_delay > of_gain {
             true => Fault::Delay(self.delay_s),
             false => Fault::Gain(self.gain),

@@ -1,6 +1,7 @@
 //! What sound sensors have shown in earlier records.
 
 use crate::hypothesis::Expected;
+use crate::profile::{BANDS, ProfileReference};
 use serde::{Deserialize, Serialize};
 
 /// The mean relation of a channel to the others in one record.
@@ -10,6 +11,9 @@ pub struct ObservedRelation {
     pub gain: f64,
     /// Delay against the others (s).
     pub delay_s: f64,
+    /// Logarithms of the power around the first natural frequency, relative to the median of the
+    /// channels. `None` if a channel was missing.
+    pub profile: Option<[f64; BANDS]>,
 }
 
 /// What a sound channel shows, learnt from records.
@@ -26,6 +30,9 @@ pub struct SensorReference {
     pub delay_s: f64,
     /// Standard deviation of the delay between records (s).
     pub delay_std_s: f64,
+    /// Profile around the first natural frequency. `None` in files without it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<ProfileReference>,
 }
 
 impl SensorReference {
@@ -36,12 +43,22 @@ impl SensorReference {
         let delays: Vec<f64> = records.iter().map(|one| one.delay_s).collect();
         let (ln_gain, ln_gain_std) = mean_and_std(&gains, usual.ln_gain.1);
         let (delay_s, delay_std_s) = mean_and_std(&delays, usual.delay_s.1);
+        let profiles: Vec<[f64; BANDS]> = records.iter().filter_map(|one| one.profile).collect();
+        let of_band = |band: usize| {
+            let values: Vec<f64> = profiles.iter().map(|profile| profile[band]).collect();
+            mean_and_std(&values, USUAL_PROFILE_STD)
+        };
+        let profile = (!profiles.is_empty()).then(|| ProfileReference {
+            mean: std::array::from_fn(|band| of_band(band).0),
+            std: std::array::from_fn(|band| of_band(band).1),
+        });
         Self {
             channel: channel.to_owned(),
             gain: libm::exp(ln_gain),
             ln_gain_std,
             delay_s,
             delay_std_s,
+            profile,
         }
     }
 
@@ -53,11 +70,20 @@ impl SensorReference {
             && is_positive(self.ln_gain_std)
             && is_positive(self.delay_std_s)
             && self.delay_s.is_finite()
+            && self.profile.is_none_or(|profile| {
+                let of_bands = profile.mean.iter().zip(profile.std);
+                { of_bands }.all(|(mean, std)| mean.is_finite() && is_positive(std))
+            })
     }
 }
 
 /// Number of records that the usual scatter counts as.
 const USUAL_RECORDS: f64 = 0.5;
+
+/// Usual scatter of a profile between records: standard deviation of the logarithm of a power.
+///
+/// Painter Street: 0.1 to 0.4 between weak earthquakes.
+const USUAL_PROFILE_STD: f64 = 0.25;
 
 /// Returns the mean of some values, and the standard deviation of a further one.
 fn mean_and_std(values: &[f64], usual_std: f64) -> (f64, f64) {

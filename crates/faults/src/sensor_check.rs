@@ -1,10 +1,14 @@
 //! The check of all channels of a structure, one frame after the other.
 
 use crate::channel::{ChannelHealth, Fault, Soundness};
+use crate::clipping::Extremes;
+use crate::finding::{Evidence, Finding};
 use crate::hypothesis::{Comparison, Expected, Relation, Responses, compare};
 use crate::memory::Memory;
+use crate::offset::Offsets;
+use crate::profile::{BandFilters, BandPowers, ProfileReference, most_probable_exchange};
 use crate::reference::{ObservedRelation, SensorReference};
-use crate::spectrum::{OVERLAP, Spectrum, Windows};
+use crate::spectrum::{Coefficients, OVERLAP, Spectrum, Windows};
 use serde::{Deserialize, Serialize};
 use spandrel_structure::{CommonMotion, Structure};
 
@@ -29,6 +33,12 @@ const FAULTY_AFTER: u32 = 2;
 
 /// Number of successive comparisons that make a faulty channel sound.
 const SOUND_AFTER: u32 = 2 * OVERLAP as u32;
+
+/// Number of successive windows that show an exchange. The last one shares no sample with the first.
+const EXCHANGED_AFTER: u32 = OVERLAP as u32 + 1;
+
+/// Half-life of the band powers in windows.
+const PROFILE_HALF_LIFE: f64 = 6.0;
 
 /// Maximum number of channels that are compared with each other. The effort grows with the third
 /// power.
@@ -93,6 +103,11 @@ struct Group {
     /// Expected without any records.
     usual: Vec<Expected>,
     expected: Vec<Expected>,
+    /// Acceleration of each channel for a slow ground acceleration of 1.
+    rigid: Vec<f64>,
+    filters: BandFilters,
+    /// Learnt profile of each channel. Exchanges are only found if all are known.
+    profiles: Vec<Option<ProfileReference>>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,6 +116,18 @@ struct GroupState {
     memories: Vec<Memory>,
     /// Whether a channel measures a motion that the others do not.
     is_incoherent: bool,
+    offsets: Offsets,
+    powers: BandPowers,
+    extremes: Vec<Extremes>,
+    findings: Vec<Findings>,
+}
+
+/// The faults of a channel that are found without the common motion.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+struct Findings {
+    exchange: Finding,
+    drift: Finding,
+    clipping: Finding,
 }
 
 impl SensorCheck {
@@ -138,10 +165,17 @@ impl SensorCheck {
     pub fn take(&mut self, values: &[f64]) -> Vec<Change> {
         let mut changes = Vec::new();
         for (group, state) in self.groups.iter().zip(&mut self.state.groups) {
-            let of_group = group.channels.iter().map(|channel| values[*channel]);
-            let Some(window) = group.spectrum.take(&mut state.windows, of_group) else {
+            let of_group = || group.channels.iter().map(|channel| values[*channel]);
+            let weight = group.spectrum.weight_in_quarter(&state.windows);
+            state.offsets.take(of_group(), weight);
+            state.powers.take(&group.filters, of_group());
+            for (extremes, value) in state.extremes.iter_mut().zip(of_group()) {
+                extremes.take(value);
+            }
+            let Some(window) = group.spectrum.take(&mut state.windows, of_group()) else {
                 continue;
             };
+            group.find(state, &window);
             for memory in &mut state.memories {
                 memory.add(&window);
             }
@@ -173,10 +207,21 @@ impl SensorCheck {
             } else {
                 group.channels.len()
             };
-            for (member, channel) in group.channels.iter().enumerate().take(judged) {
+            for (member, channel) in group.channels.iter().enumerate() {
                 let Some(health) = &mut self.state.health[*channel] else {
                     continue;
                 };
+                let before = health.soundness;
+                let found = state.findings[member].fault();
+                let is_present = window.of_channels[member].is_some();
+                if settle(health, found, is_present) {
+                    self.state.support[*channel] = 0;
+                    changes.extend(Change::between(*channel, before, health.soundness));
+                    continue;
+                }
+                if member >= judged {
+                    continue;
+                }
                 // If probabilities are equal, the short memory describes the present fault better.
                 let worst = compared
                     .iter()
@@ -185,15 +230,8 @@ impl SensorCheck {
                     .max_by(|a, b| a.probabilities[member].total_cmp(&b.probabilities[member]));
                 let Some(found) = worst else { continue };
                 let support = &mut self.state.support[*channel];
-                let before = health.soundness;
                 group.judge(found, member, health, support);
-                if health.soundness != before {
-                    changes.push(Change {
-                        channel: *channel,
-                        before,
-                        now: health.soundness,
-                    });
-                }
+                changes.extend(Change::between(*channel, before, health.soundness));
             }
         }
         changes
@@ -226,7 +264,17 @@ impl SensorCheck {
     /// comparison.
     #[must_use]
     pub fn observed(&self) -> Vec<Option<ObservedRelation>> {
-        self.state.sums.iter().map(Sums::mean).collect()
+        let mut observed: Vec<Option<ObservedRelation>> =
+            self.state.sums.iter().map(Sums::mean).collect();
+        for (group, state) in self.groups.iter().zip(&self.state.groups) {
+            let profiles = state.powers.mean_profiles();
+            for (member, channel) in group.channels.iter().enumerate() {
+                if let Some(relation) = &mut observed[*channel] {
+                    relation.profile = profiles.as_ref().map(|all| all[member]);
+                }
+            }
+        }
+        observed
     }
 
     /// Learns what sound sensors show from several records, each as returned by
@@ -257,9 +305,11 @@ impl SensorCheck {
     /// Expects what sound sensors have shown before, instead of the motion that the model predicts.
     pub fn expect(&mut self, names: &[&str], references: &[SensorReference]) {
         for group in &mut self.groups {
-            for (channel, expected) in group.channels.iter().zip(&mut group.expected) {
+            let of_channels = group.expected.iter_mut().zip(&mut group.profiles);
+            for (channel, (expected, profile)) in group.channels.iter().zip(of_channels) {
                 let known = references.iter().find(|one| one.channel == names[*channel]);
                 if let Some(known) = known {
+                    *profile = known.profile;
                     *expected = Expected {
                         ln_gain: (libm::log(known.gain), known.ln_gain_std),
                         delay_s: (known.delay_s, known.delay_std_s),
@@ -271,7 +321,15 @@ impl SensorCheck {
 
     /// Discards the samples so far, but keeps the judgements.
     pub fn forget_motion(&mut self) {
-        self.state.groups = self.groups.iter().map(Group::empty).collect();
+        for (group, state) in self.groups.iter().zip(&mut self.state.groups) {
+            state.powers.forget();
+            let empty = group.empty();
+            *state = GroupState {
+                powers: state.powers.clone(),
+                findings: std::mem::take(&mut state.findings),
+                ..empty
+            };
+        }
     }
 
     /// Returns the longest time that a comparison needs (s), 0 without any.
@@ -296,6 +354,10 @@ impl SensorCheck {
             state.windows.fits(count)
                 && state.memories.len() == HALF_LIVES.len()
                 && state.memories.iter().all(|memory| memory.fits(count))
+                && state.offsets.fits(count)
+                && state.powers.fits(count)
+                && state.extremes.len() == count
+                && state.findings.len() == count
         };
         let is_ours = state.groups.len() == self.groups.len()
             && state.health.len() == self.state.health.len()
@@ -307,6 +369,48 @@ impl SensorCheck {
         }
         is_ours
     }
+}
+
+impl Change {
+    fn between(channel: usize, before: Soundness, now: Soundness) -> Option<Self> {
+        (now != before).then_some(Self {
+            channel,
+            before,
+            now,
+        })
+    }
+}
+
+impl Findings {
+    fn fault(&self) -> Option<Fault> {
+        let all = [self.exchange, self.drift, self.clipping];
+        all.iter().find_map(Finding::fault)
+    }
+}
+
+/// Updates what is known of a channel without the common motion. Returns `false` if the common
+/// motion must decide.
+fn settle(health: &mut ChannelHealth, found: Option<Fault>, is_present: bool) -> bool {
+    let had_finding = matches!(
+        health.fault,
+        Some(Fault::Exchanged | Fault::Drift(_) | Fault::Clipped(_))
+    );
+    match found {
+        Some(_) => {
+            (health.soundness, health.probability) = (Soundness::Faulty, 1.0);
+            health.fault = found;
+        }
+        None if had_finding => {
+            (health.soundness, health.probability) = (Soundness::Sound, 0.0);
+            health.fault = None;
+        }
+        // A channel without samples cannot be compared any more.
+        None if !is_present && health.soundness != Soundness::Faulty => {
+            *health = ChannelHealth::default();
+        }
+        None => return false,
+    }
+    true
 }
 
 impl Sums {
@@ -321,6 +425,7 @@ impl Sums {
         (self.comparisons > 0).then(|| ObservedRelation {
             gain: libm::exp(self.ln_gain / count),
             delay_s: self.delay_s / count,
+            profile: None,
         })
     }
 }
@@ -352,6 +457,12 @@ impl Group {
                 ),
                 usual: vec![expected; own.len()],
                 expected: vec![expected; own.len()],
+                rigid: own
+                    .iter()
+                    .map(|member| motion.response(*member, 0.0).re)
+                    .collect(),
+                filters: BandFilters::new(motion.fundamental_hz(), rate_hz),
+                profiles: vec![None; own.len()],
                 spectrum: spectrum.clone(),
             }
         };
@@ -367,7 +478,54 @@ impl Group {
                 .map(|half_life| Memory::new(count, *half_life))
                 .collect(),
             is_incoherent: false,
+            offsets: Offsets::new(count),
+            powers: BandPowers::new(count),
+            extremes: vec![Extremes::default(); count],
+            findings: vec![Findings::default(); count],
         }
+    }
+
+    /// Searches a window for faults that the common motion does not show.
+    fn find(&self, state: &mut GroupState, window: &Coefficients) {
+        let step_s = self.spectrum.window_s() / OVERLAP as f64;
+        let offsets = state.offsets.close(step_s, &self.rigid, &self.noise_std);
+        let is_complete = window.of_channels.iter().all(Option::is_some);
+        let kept = libm::exp2(-1.0 / (PROFILE_HALF_LIFE * OVERLAP as f64));
+        state.powers.close(kept, is_complete);
+        let exchanges = self.exchanges(&state.powers);
+        for (member, findings) in state.findings.iter_mut().enumerate() {
+            findings
+                .drift
+                .take(offsets[member], FAULTY_AFTER, SOUND_AFTER);
+            let clipping = state.extremes[member].close();
+            findings.clipping.take(clipping, FAULTY_AFTER, SOUND_AFTER);
+            findings
+                .exchange
+                .take(exchanges[member], EXCHANGED_AFTER, SOUND_AFTER);
+        }
+    }
+
+    /// Returns for each channel whether it is exchanged.
+    fn exchanges(&self, powers: &BandPowers) -> Vec<Evidence> {
+        let references: Option<Vec<ProfileReference>> = self.profiles.iter().copied().collect();
+        let Some(references) = references.filter(|_| powers.windows() >= OVERLAP as u32) else {
+            return vec![Evidence::Open; self.channels.len()];
+        };
+        let profiles = powers.profiles();
+        let own = references.iter().zip(&profiles);
+        let of_own = own.map(|(reference, profile)| match reference.agrees(profile) {
+            true => Evidence::Sound,
+            false => Evidence::Open,
+        });
+        let mut evidence: Vec<Evidence> = of_own.collect();
+        if let Some(exchange) = most_probable_exchange(&profiles, &references) {
+            let (first, second) = exchange.channels;
+            if exchange.probability > FAULTY {
+                evidence[first] = Evidence::Fault(Fault::Exchanged);
+                evidence[second] = Evidence::Fault(Fault::Exchanged);
+            }
+        }
+        evidence
     }
 
     /// Returns `true` if a channel measures much more than its stated noise, and there are others to

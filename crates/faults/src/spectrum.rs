@@ -85,6 +85,12 @@ impl Spectrum {
         0.375 * self.samples as f64
     }
 
+    /// Returns the weight of the next frame in the mean of its quarter of a window.
+    pub(crate) fn weight_in_quarter(&self, windows: &Windows) -> f64 {
+        let place = (windows.count % (self.samples / OVERLAP) as u64) as usize;
+        0.5 - 0.5 * self.turns[place * OVERLAP].re
+    }
+
     /// Takes the values of one frame. Returns the coefficients of a window that is now complete.
     pub(crate) fn take(
         &self,

@@ -140,6 +140,9 @@ pub fn advice(fault: Fault) -> &'static str {
         Fault::Delay(_) => "check the clock of its node and the filter delay of its recorder",
         Fault::Dead => "check its power, cable and mounting",
         Fault::Disturbed => "check its cable and mounting, and whether it measures another place",
+        Fault::Drift(_) => "check its mounting, its temperature and its supply voltage",
+        Fault::Clipped(_) => "check its range and the range of its recorder",
+        Fault::Exchanged => "check which cable is connected to which channel",
     }
 }
 

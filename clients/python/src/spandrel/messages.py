@@ -112,7 +112,7 @@ class ChannelHealth:
     """Comparison of one channel with the others.
 
     `state` is `unchecked`, `sound`, `in-doubt` or `faulty`. `fault` is `gain`, `sign`, `delay`,
-    `dead` or `disturbed`.
+    `dead`, `disturbed`, `drift`, `clipped` or `exchanged`.
     """
 
     channel: str

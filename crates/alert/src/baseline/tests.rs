@@ -337,6 +337,7 @@ fn file_contains_sensor_references_and_the_change_without_each_sensor() {
         ln_gain_std: 0.03,
         delay_s: 0.002,
         delay_std_s: 0.003,
+        profile: None,
     };
     let records = [record(1.0, 0.01), record(1.1, 0.01)];
     // Without the roof, the parameter changes by 0.03 and −0.05: √((9 + 25)/2)·10⁻², times

@@ -33,6 +33,12 @@ pub enum FaultKind {
     Dead,
     /// Something that the others do not measure.
     Disturbed,
+    /// An offset that moves.
+    Drift,
+    /// Peaks that are cut off.
+    Clipped,
+    /// The motion of another channel, which measures the motion of this one.
+    Exchanged,
 }
 
 /// What the comparison shows of one channel.

@@ -315,3 +315,122 @@ fn wind_puts_no_floor_in_doubt() {
     let (_, changes) = checked(&frames);
     assert_eq!(suspected(&changes), [0], "{changes:?}");
 }
+
+#[test]
+fn drifting_sensor_is_named_with_the_distance_of_its_offset() {
+    let drift = |n: usize| 0.02 * (n - 20 * 120) as f64 / 120.0;
+    let (fault, suspected) = with_fault(FLOOR_2, |n, sound| sound[n][FLOOR_2] + drift(n));
+    let Some(Fault::Drift(moved)) = fault else {
+        panic!("{fault:?}")
+    };
+    // The drift reaches 0.8 m/s². The reference follows with a half-life of 120 s.
+    assert!((0.6..0.8).contains(&moved), "{moved}");
+    assert_eq!(suspected, [FLOOR_2]);
+}
+
+#[test]
+fn peaks_cut_off_at_the_range_are_named_with_their_value() {
+    let (fault, suspected) = with_fault(FLOOR_2, |n, sound| sound[n][FLOOR_2].clamp(-0.5, 0.5));
+    let Some(Fault::Clipped(value)) = fault else {
+        panic!("{fault:?}")
+    };
+    assert!((value.abs() - 0.5).abs() < 1e-9, "{value}");
+    assert_eq!(suspected, [FLOOR_2]);
+}
+
+#[test]
+fn constant_offset_and_steps_of_the_recorder_are_no_faults() {
+    let mut recorded = frames(&table(&[]));
+    for values in &mut recorded {
+        values[FLOOR_2] += 1.0;
+        values
+            .iter_mut()
+            .for_each(|value| *value = (*value / 0.02).round() * 0.02);
+    }
+    let (_, changes) = checked(&recorded);
+    assert_eq!(suspected(&changes), [], "{changes:?}");
+}
+
+/// Returns a check that has learnt from three simulations of the stiff frame.
+fn learnt_check() -> SensorCheck {
+    let structure = table(&[]);
+    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    let observed = [1, 2, 3].map(|seed| {
+        let mut check = SensorCheck::new(&structure);
+        for frame in structure.simulator(seed).take(60 * 120) {
+            check.take(&frame.values);
+        }
+        check.observed()
+    });
+    let mut check = SensorCheck::new(&structure);
+    let learnt = check.learn(&names, &observed);
+    check.expect(&names, &learnt);
+    check
+}
+
+#[test]
+fn exchanged_sensors_are_both_named_although_the_structure_has_changed_a_little() {
+    let stiffer = "stiffnesses-n-per-m = [2850, 2350, 2300]";
+    let structure = table(&[
+        ("stiffnesses-n-per-m = [2720, 2300, 2360]", stiffer),
+        ("ratio = 0.009", "ratio = 0.012"),
+    ]);
+    let sound = frames(&structure);
+    for (first, second) in [(0, 1), (1, 2), (1, 3), (2, 3), (3, 0)] {
+        let mut check = learnt_check();
+        let mut changes = Vec::new();
+        for values in &sound {
+            let mut values = values.clone();
+            values.swap(first, second);
+            changes.extend(check.take(&values).into_iter().map(|change| (0.0, change)));
+        }
+        let mut expected = [first, second];
+        expected.sort_unstable();
+        assert_eq!(suspected(&changes), expected, "{changes:?}");
+        for channel in expected {
+            let health = check.health()[channel].unwrap();
+            assert_eq!(health.fault, Some(Fault::Exchanged), "{health:?}");
+        }
+    }
+}
+
+#[test]
+fn loss_of_stiffness_is_no_exchange() {
+    for stiffness in [
+        "[2720, 2300, 2360]",
+        "[1632, 2300, 2360]",
+        "[2720, 1380, 2360]",
+        "[2720, 2300, 1416]",
+        "[437, 392, 398]",
+    ] {
+        let changed = format!("stiffnesses-n-per-m = {stiffness}");
+        let structure = table(&[("stiffnesses-n-per-m = [2720, 2300, 2360]", &changed)]);
+        let mut check = learnt_check();
+        for values in frames(&structure) {
+            check.take(&values);
+        }
+        let faults: Vec<Option<Fault>> = check
+            .health()
+            .iter()
+            .flatten()
+            .map(|one| one.fault)
+            .collect();
+        assert_eq!(faults, [None; 4], "{stiffness}");
+    }
+}
+
+#[test]
+fn sensor_in_doubt_that_disappears_is_unchecked() {
+    let mut frames = frames(&table(&[]));
+    for (number, values) in frames.iter_mut().enumerate() {
+        values[1] *= -1.0;
+        values[2..].fill(f64::NAN);
+        if number > 40 * 120 {
+            values[1] = f64::NAN;
+        }
+    }
+    let (check, changes) = checked(&frames);
+    assert!(suspected(&changes).contains(&1), "{changes:?}");
+    let health = check.health()[1].unwrap();
+    assert_eq!(health, ChannelHealth::default());
+}

@@ -80,8 +80,7 @@ impl Identification {
             (_, Soundness::Faulty) if is_response => (
                 EventKind::ChannelExcluded,
                 format!("the sensor {}: its samples are not used", words()),
-                "below the first natural frequency, all sensors along a direction measure the same \
-                 motion",
+                reason(health.fault),
             ),
             (_, Soundness::Faulty) => (
                 EventKind::ChannelExcluded,
@@ -102,7 +101,12 @@ impl Identification {
                 "the sensor is used again".to_owned(),
                 "it agrees with the other sensors again",
             ),
-            (Soundness::InDoubt, Soundness::Sound | Soundness::Unchecked) => (
+            (Soundness::InDoubt, Soundness::Unchecked) => (
+                EventKind::ChannelBack,
+                "the sensor is no longer in doubt".to_owned(),
+                "it sends no samples that could be compared",
+            ),
+            (Soundness::InDoubt, Soundness::Sound) => (
                 EventKind::ChannelBack,
                 "the sensor is no longer in doubt".to_owned(),
                 "it agrees with the other sensors",
@@ -227,6 +231,21 @@ pub(super) fn compared_nodes(
     Ok(compared)
 }
 
+/// Returns why a fault is no damage.
+fn reason(fault: Option<Fault>) -> &'static str {
+    match fault {
+        Some(Fault::Drift(_)) => "damage does not move the mean of an acceleration",
+        Some(Fault::Clipped(_)) => "the peaks of a motion differ in height",
+        Some(Fault::Exchanged) => {
+            "around the first natural frequency, it moves as the other one did in the baseline"
+        }
+        _ => {
+            "below the first natural frequency, all sensors along a direction measure the same \
+             motion"
+        }
+    }
+}
+
 fn channel_display(channel: &Name, health: &ChannelHealth) -> ChannelHealthDisplay {
     use spandrel_bus::Soundness as State;
     let kind = |fault: Fault| match fault {
@@ -235,6 +254,9 @@ fn channel_display(channel: &Name, health: &ChannelHealth) -> ChannelHealthDispl
         Fault::Delay(_) => FaultKind::Delay,
         Fault::Dead => FaultKind::Dead,
         Fault::Disturbed => FaultKind::Disturbed,
+        Fault::Drift(_) => FaultKind::Drift,
+        Fault::Clipped(_) => FaultKind::Clipped,
+        Fault::Exchanged => FaultKind::Exchanged,
     };
     ChannelHealthDisplay {
         channel: channel.clone(),

@@ -55,8 +55,12 @@ impl SensorFault {
     fn is_named(self) -> bool {
         match self {
             Self::Gain(factor) => (factor - 1.0).abs() > 0.19,
-            Self::Exchanged(_) | Self::Drift(_) => false,
-            Self::Zero | Self::Noise(_) | Self::Stuck | Self::Late(_) => true,
+            Self::Zero
+            | Self::Noise(_)
+            | Self::Stuck
+            | Self::Late(_)
+            | Self::Exchanged(_)
+            | Self::Drift(_) => true,
         }
     }
 
