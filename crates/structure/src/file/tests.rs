@@ -46,7 +46,7 @@ fn every_example_is_read() {
     for name in [
         "demo",
         "output-only",
-        "ambient",
+        "modes/ambient",
         "matrices",
         "noisy",
         "three-pier-bridge",
