@@ -1,6 +1,7 @@
 //! The result of one day of one quantity: a state, a sentence, and the numbers behind them.
 
 use crate::reference::Missing;
+use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
 
 /// State of a judged quantity.
@@ -176,11 +177,11 @@ impl Judgement {
         if let Some(finding) = &self.finding {
             let change = finding.change();
             let [low, high] = change.interval.map(|share| 100.0 * share);
-            let since = days_ago(self.day - change.since_day);
+            let since = date(change.since_day);
             return match finding {
                 Finding::LastingLoss(change) => format!(
                     "{name} has lost {:.1} % of stiffness [{low:.1}, {high:.1}], most probably \
-                     {since}.",
+                     since {since}.",
                     100.0 * change.loss
                 ),
                 Finding::LearnedAway(change) => format!(
@@ -189,7 +190,7 @@ impl Judgement {
                     100.0 * change.loss
                 ),
                 Finding::Stiffer(change) => format!(
-                    "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably {since}.",
+                    "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably since {since}.",
                     -100.0 * change.loss,
                     -high,
                     -low
@@ -223,10 +224,49 @@ impl Judgement {
     }
 }
 
-fn days_ago(days: i64) -> String {
-    match days {
-        0 => "beginning today".to_owned(),
-        1 => "beginning the day before".to_owned(),
-        _ => format!("beginning {days} days earlier"),
+/// Returns the date of a number of days since 1970-01-01.
+#[must_use]
+pub fn date(day: i64) -> Date {
+    let days = jiff::Span::new().try_days(day).unwrap_or_default();
+    Date::constant(1970, 1, 1).saturating_add(days)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The day of the judgement does not matter: the sentence of an old finding stands beside a
+    /// later date.
+    #[test]
+    fn sentence_states_the_date_on_which_a_change_probably_began() {
+        let change = |loss| Change {
+            loss,
+            interval: [loss - 0.01, loss + 0.01],
+            since_day: 20_385, // 2025-10-24: date -u -d @$((86400 * 20385))
+            found_day: 20_389,
+        };
+        let sentence = |finding, day| {
+            let (quantity, state) = ("bending".to_owned(), State::Judged);
+            let judgement = Judgement {
+                day,
+                quantity,
+                state,
+                means: None,
+                expectation: None,
+                finding: Some(finding),
+                raised: false,
+            };
+            judgement.sentence()
+        };
+        for day in [20_385, 20_386, 20_414] {
+            assert_eq!(
+                sentence(Finding::LastingLoss(change(0.052)), day),
+                "bending has lost 5.2 % of stiffness [4.2, 6.2], most probably since 2025-10-24."
+            );
+            assert_eq!(
+                sentence(Finding::Stiffer(change(-0.052)), day),
+                "bending has gained 5.2 % of stiffness [4.2, 6.2], most probably since 2025-10-24."
+            );
+        }
     }
 }

@@ -90,7 +90,9 @@ pub use calibration::{Delay, Performance};
 pub use epoch::Epoch;
 pub use error::JudgeError;
 pub use judge::{Judge, NewReference};
-pub use judgement::{Absence, Change, DayMeans, Expectation, Finding, Judgement, Novelty, State};
+pub use judgement::{
+    Absence, Change, DayMeans, Expectation, Finding, Judgement, Novelty, State, date,
+};
 pub use reference::Missing;
 pub use report::{QuantityReport, ReferenceReport};
 pub use settings::{

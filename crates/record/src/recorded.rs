@@ -53,6 +53,7 @@ pub struct RecordedChannel {
     description: Option<String>,
     sampling_rate_hz: Option<f64>,
     origin: TimeOrigin,
+    event_ns: Option<i64>,
     segments: Vec<Segment>,
 }
 
@@ -72,6 +73,7 @@ impl RecordedChannel {
             description: None,
             sampling_rate_hz,
             origin: TimeOrigin::Start,
+            event_ns: None,
             segments: segments
                 .into_iter()
                 .filter(|segment| !segment.samples.is_empty())
@@ -133,6 +135,11 @@ impl RecordedChannel {
         Self { origin, ..self }
     }
 
+    /// Sets the time of the recorded earthquake.
+    pub(crate) fn with_event_ns(self, event_ns: Option<i64>) -> Self {
+        Self { event_ns, ..self }
+    }
+
     /// Returns the same channel with other samples, at another rate in Hz.
     pub(crate) fn with_samples(&self, rate_hz: f64, segments: Vec<Segment>) -> Self {
         let Self {
@@ -140,6 +147,7 @@ impl RecordedChannel {
             unit,
             description,
             origin,
+            event_ns,
             ..
         } = self.clone();
         Self {
@@ -147,6 +155,7 @@ impl RecordedChannel {
             unit,
             description,
             origin,
+            event_ns,
             sampling_rate_hz: Some(rate_hz),
             segments,
         }
@@ -194,6 +203,13 @@ impl RecordedChannel {
     /// Returns the reference of the times.
     pub fn origin(&self) -> TimeOrigin {
         self.origin
+    }
+
+    /// Returns the time of the recorded earthquake at its source (ns since 1970, UTC), or `None` if
+    /// the file does not state it. The recording begins at an unknown time within about a minute
+    /// of it.
+    pub fn event_ns(&self) -> Option<i64> {
+        self.event_ns
     }
 
     /// Returns the segments in time order.

@@ -1,10 +1,9 @@
 //! Text and JSON of the judgements of a series.
 
-use jiff::civil::Date;
 use serde_json::json;
 use spandrel_bus::CourseRow;
 use spandrel_judge::{
-    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State,
+    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State, date,
 };
 use spandrel_judging::{LEAST_LN_EVIDENCE, course_row};
 use std::fmt::{self, Write as _};
@@ -210,10 +209,4 @@ fn delay_text(delay: &Delay) -> String {
 
 fn rate(per_year: f64) -> String {
     format!("{per_year:.3}")
-}
-
-/// Returns the date of a number of days since 1970-01-01.
-fn date(day: i64) -> Date {
-    let days = jiff::Span::new().try_days(day).unwrap_or_default();
-    Date::constant(1970, 1, 1).saturating_add(days)
 }

@@ -11,7 +11,6 @@ use crate::structure::Structure;
 use nalgebra::DMatrix;
 use spandrel_filter::FadingFactor;
 use std::f64::consts::PI;
-use std::sync::OnceLock;
 
 /// Standard deviation of the logarithm of the variance in one octave.
 ///
@@ -28,18 +27,6 @@ const BELOW_FIRST: f64 = 4.0;
 /// that loss.
 const SPOILING: f64 = 0.5;
 
-/// The errors by unmeasured excitations, which take seconds for a large structure.
-///
-/// A clone starts without them, because the clone may be changed.
-#[derive(Debug, Default)]
-pub(crate) struct ExcitationErrors(OnceLock<Vec<f64>>);
-
-impl Clone for ExcitationErrors {
-    fn clone(&self) -> Self {
-        Self::default()
-    }
-}
-
 impl Structure {
     /// Returns the standard deviation of the error of each parameter due to unmeasured excitations.
     ///
@@ -55,7 +42,6 @@ impl Structure {
     #[must_use]
     pub fn errors_by_unmeasured_excitation(&self) -> Vec<f64> {
         self.excitation_errors
-            .0
             .get_or_init(|| self.compute_excitation_errors().unwrap_or_default())
             .clone()
     }

@@ -25,9 +25,9 @@ mod response;
 mod simulation;
 mod tower;
 
+use crate::computed::Computed;
 use crate::diagnostics::{Diagnostics, counted, one_of};
 use crate::error::StructureError;
-use crate::excitation_dependence::ExcitationErrors;
 use crate::judge_plan::JudgedStructure;
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::section::{Allowed, Section, short};
@@ -354,7 +354,8 @@ impl<'t> StructureFile<'t> {
             record: record?,
             simulation,
             conditions,
-            excitation_errors: ExcitationErrors::default(),
+            excitation_errors: Computed::default(),
+            analysis_basis: Computed::default(),
             modes: Arc::new(modes?),
         })
     }

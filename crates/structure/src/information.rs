@@ -3,8 +3,8 @@
 //!
 //! The innovations `ν` of a Kalman filter are independent and normal with covariance `S`. The data
 //! of `N` frames therefore contain the Fisher information
-//! `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹ ∂S)` about all quantities on which the filter depends. The
-//! derivatives are central differences between filters that run on the same simulated data.
+//! `I = Σ ∂νᵀ S⁻¹ ∂ν + N/2 tr(S⁻¹ ∂S S⁻¹ ∂S)` about all quantities on which the filter depends. All
+//! derivatives run with the filter on simulated data.
 //!
 //! The extended filter does not use all of this information. It differentiates the innovations with
 //! constant gain, `ψ = ∂ν|_K`, and counts the information `J_θ = Σ ψᵀ S⁻¹ ψ`. An error `δ` of
@@ -14,13 +14,14 @@
 //! smaller than the counted information, the filter underestimates its uncertainty.
 
 use crate::linear_form::LinearForm;
+use crate::model::StructureModel;
 use crate::noise_level::NoiseSource;
-use crate::ritz_basis::RitzBasis;
-use crate::steady_filter::{NoiseCovariances, SteadyFilter};
+use crate::simulator::Simulator;
+use crate::steady_filter::{NoiseCovariances, SampledModel, SteadyFilter, Tangent};
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
 
-/// Half the distance of two filters, in a parameter or in the logarithm of a variance.
+/// Half the distance of two structures in a parameter.
 ///
 /// A thousandth shifts a resonance by far less than its width.
 const DIFFERENCE: f64 = 1e-3;
@@ -37,23 +38,6 @@ pub(crate) struct Information {
     pub(crate) pull: DMatrix<f64>,
 }
 
-/// A quantity with respect to which the filters are differentiated.
-#[derive(Debug, Clone, Copy)]
-enum Unknown {
-    Parameter(usize),
-    Level(usize),
-}
-
-/// A change of one unknown: of a parameter, or of the logarithm of a variance.
-#[derive(Debug, Clone, Copy)]
-struct Change {
-    unknown: Unknown,
-    by: f64,
-}
-
-/// Two filters with one unknown increased and decreased.
-type Pair = [SteadyFilter; 2];
-
 impl Information {
     /// Simulates `frames` frames of the undamaged structure at its prior means and sums their
     /// information. Reports the completed share (0 to 1) to `on_share`.
@@ -63,45 +47,33 @@ impl Information {
         seed: u64,
         on_share: &dyn Fn(f64),
     ) -> Option<Self> {
-        let parameters = (0..structure.parameters.len()).map(Unknown::Parameter);
-        let levels = (0..structure.noise_levels.len()).map(Unknown::Level);
-        let unknowns: Vec<Unknown> = parameters.clone().chain(levels).collect();
-        let basis = structure.analysis_basis();
-        let basis = basis.as_ref();
-        let nominal = Moved::new(structure, basis, None);
-        let filter = nominal.filter()?;
-        let pair = |(done, unknown): (usize, Unknown)| {
-            on_share(0.5 * done as f64 / unknowns.len() as f64);
-            let [up, down] = [DIFFERENCE, -DIFFERENCE]
-                .map(|by| Moved::new(structure, basis, Some(Change { unknown, by })).filter());
-            Some([up?, down?])
+        let levels: Vec<NoiseCovariances> = level_parts(structure);
+        let mut model = structure.model();
+        let means = structure.prior_means();
+        let nominal = sampled(structure, &mut model, &means);
+        let filter = SteadyFilter::new(nominal, sum_of(structure, &levels))?;
+        let (theta, all) = (
+            structure.parameters.len(),
+            structure.parameters.len() + levels.len(),
+        );
+        let by_parameter = |parameter| {
+            on_share(0.5 * parameter as f64 / all as f64);
+            filter.by_parameter(&slope(structure, &mut model, &means, parameter))
         };
-        let held_pair = |unknown| {
-            [DIFFERENCE, -DIFFERENCE].map(|by| {
-                let change = Some(Change { unknown, by });
-                Moved::new(structure, basis, change).filter_with_update_of(&filter)
-            })
-        };
-        let mut pairs: Vec<Pair> = unknowns
-            .iter()
-            .copied()
-            .enumerate()
-            .map(pair)
-            .collect::<Option<_>>()?;
-        let mut held_pairs: Vec<Pair> = parameters.map(held_pair).collect();
+        let mut tangents: Vec<Tangent> = (0..theta).map(by_parameter).collect();
+        tangents.extend(levels.iter().map(|part| filter.by_level(part)));
         let lower = filter.innovation_covariance.clone().cholesky()?.l();
-        let whole: Vec<DMatrix<f64>> = pairs
+        let whole: Vec<DMatrix<f64>> = tangents
             .iter()
-            .map(|pair| whitened(covariance_difference(pair), &lower))
+            .map(|tangent| whitened(tangent.innovation_covariance.clone(), &lower))
             .collect();
-        let own: Vec<DMatrix<f64>> = nominal
-            .level_patterns(structure)
-            .map(|u| whitened(u, &lower))
+        let own: Vec<DMatrix<f64>> = levels
+            .iter()
+            .map(|part| whitened(part.within_a_step(filter.model()), &lower))
             .collect();
         let traces = |a: &[DMatrix<f64>], b: &[DMatrix<f64>]| {
             DMatrix::from_fn(a.len(), b.len(), |i, j| 0.5 * a[i].dot(&b[j])) // ½ tr(S⁻¹ A S⁻¹ B)
         };
-        let (theta, all) = (held_pairs.len(), pairs.len());
         let of_frames = |share: f64| on_share(0.5 + 0.5 * share);
         let simulated = Simulated {
             structure,
@@ -109,7 +81,7 @@ impl Information {
             seed,
             on_share: &of_frames,
         };
-        let means = simulated.means(&mut pairs, &mut held_pairs, &lower);
+        let means = simulated.means(filter, &tangents, &lower);
         let mut counted = DMatrix::zeros(all, all);
         counted
             .view_mut((0, 0), (theta, theta))
@@ -129,100 +101,64 @@ impl Information {
     }
 }
 
-/// The structure with one unknown changed.
-struct Moved {
-    form: LinearForm,
-    recursion: crate::linear_form::Recursion,
-    noise: NoiseCovariances,
+/// Returns the structure with the parameters `theta` (ratios to nominal).
+fn sampled(structure: &Structure, model: &mut StructureModel, theta: &[f64]) -> SampledModel {
+    let form = LinearForm::moving_in(model, theta, structure.analysis_basis());
+    let recursion = form.recursion(structure.step_s(), &structure.input_holds());
+    SampledModel::new(form, recursion)
 }
 
-impl Moved {
-    fn new(structure: &Structure, basis: Option<&RitzBasis>, change: Option<Change>) -> Self {
-        let mut theta: Vec<f64> = structure
-            .parameters
-            .iter()
-            .map(crate::Parameter::mean)
-            .collect();
-        let levels = structure.noise_levels.len();
-        let mut variances: Vec<f64> = (0..levels)
-            .map(|level| structure.expected_level_std(level).powi(2))
-            .collect();
-        if let Some(Change { unknown, by }) = change {
-            match unknown {
-                Unknown::Parameter(parameter) => theta[parameter] += by,
-                Unknown::Level(level) => variances[level] *= by.exp(),
+/// Returns the derivative of the structure with respect to a parameter.
+fn slope(
+    structure: &Structure,
+    model: &mut StructureModel,
+    means: &[f64],
+    parameter: usize,
+) -> SampledModel {
+    let [up, down] = [DIFFERENCE, -DIFFERENCE].map(|by| {
+        let mut theta = means.to_vec();
+        theta[parameter] += by;
+        sampled(structure, model, &theta)
+    });
+    up.difference(&down, 2.0 * DIFFERENCE)
+}
+
+/// Returns the contribution of each noise level to the covariances.
+fn level_parts(structure: &Structure) -> Vec<NoiseCovariances> {
+    let frames_per_sample = structure.frames_per_sample();
+    let every = |row: usize| frames_per_sample[structure.observation_channels[row]] as f64;
+    let levels = structure.noise_levels.iter().enumerate();
+    let part = |(number, level): (usize, &crate::NoiseLevel)| {
+        let variance = structure.expected_level_std(number).powi(2);
+        let mut part = no_noise(structure);
+        match level.source() {
+            NoiseSource::Excitation(index) => {
+                part.excitation = structure.excitation_pattern(*index) * variance;
             }
+            // The simulation distributes the information of a slower node over all frames.
+            NoiseSource::Sensors(rows) => rows
+                .iter()
+                .for_each(|row| part.sensors[*row] = variance * every(*row)),
         }
-        let inputs = structure.excitation_channels.len();
-        let mut noise = NoiseCovariances {
-            excitation: DMatrix::zeros(inputs, inputs),
-            sensors: DVector::zeros(structure.observation_channels.len()),
-        };
-        let frames_per_sample = structure.frames_per_sample();
-        let every = |row: usize| frames_per_sample[structure.observation_channels[row]] as f64;
-        for (level, variance) in structure.noise_levels.iter().zip(variances) {
-            match level.source() {
-                NoiseSource::Excitation(index) => {
-                    noise.excitation += structure.excitation_pattern(*index) * variance
-                }
-                // The simulation distributes the information of a slower node over all frames.
-                NoiseSource::Sensors(rows) => rows
-                    .iter()
-                    .for_each(|row| noise.sensors[*row] = variance * every(*row)),
-            }
-        }
-        let form = LinearForm::moving_in(&mut structure.model(), &theta, basis);
-        let recursion = form.recursion(structure.step_s(), &structure.input_holds());
-        Self {
-            form,
-            recursion,
-            noise,
-        }
-    }
+        part
+    };
+    levels.map(part).collect()
+}
 
-    fn filter(&self) -> Option<SteadyFilter> {
-        SteadyFilter::new(&self.form, self.recursion.clone(), &self.noise)
-    }
-
-    fn filter_with_update_of(&self, filter: &SteadyFilter) -> SteadyFilter {
-        filter.with_frozen_update(&self.form, self.recursion.clone())
-    }
-
-    /// Returns `U` of each level, the contribution of its variance to `S` within one step.
-    fn level_patterns<'m>(
-        &'m self,
-        structure: &'m Structure,
-    ) -> impl Iterator<Item = DMatrix<f64>> + 'm {
-        let one_step = &self.form.observation * &self.recursion.input; // H B
-        structure
-            .noise_levels
-            .iter()
-            .enumerate()
-            .map(move |(number, level)| match level.source() {
-                NoiseSource::Excitation(index) => {
-                    let (hb, d) = (&one_step, &self.form.direct);
-                    let variance = structure.expected_level_std(number).powi(2);
-                    let covariance = structure.excitation_pattern(*index) * variance;
-                    hb * &covariance * hb.transpose() + d * covariance * d.transpose()
-                }
-                NoiseSource::Sensors(rows) => {
-                    let variance = |row| {
-                        if rows.contains(&row) {
-                            self.noise.sensors[row]
-                        } else {
-                            0.0
-                        }
-                    };
-                    DMatrix::from_diagonal(&DVector::from_fn(self.noise.sensors.len(), |row, _| {
-                        variance(row)
-                    }))
-                }
-            })
+fn no_noise(structure: &Structure) -> NoiseCovariances {
+    let inputs = structure.excitation_channels.len();
+    NoiseCovariances {
+        excitation: DMatrix::zeros(inputs, inputs),
+        sensors: DVector::zeros(structure.observation_channels.len()),
     }
 }
 
-fn covariance_difference(pair: &Pair) -> DMatrix<f64> {
-    (&pair[0].innovation_covariance - &pair[1].innovation_covariance) / (2.0 * DIFFERENCE)
+fn sum_of(structure: &Structure, parts: &[NoiseCovariances]) -> NoiseCovariances {
+    parts.iter().fold(no_noise(structure), |mut sum, part| {
+        sum.excitation += &part.excitation;
+        sum.sensors += &part.sensors;
+        sum
+    })
 }
 
 /// Returns `L⁻¹ X L⁻ᵀ` for a symmetric `X`, with `S = L Lᵀ`.
@@ -251,58 +187,238 @@ struct Simulated<'s> {
     on_share: &'s dyn Fn(f64),
 }
 
-/// Number of frames between two reports of the completed share.
-const FRAMES_PER_REPORT: u64 = 64;
+/// Number of frames whose effects on the derivatives are computed at once.
+const BLOCK: u64 = 64;
+
+/// The data of the filter in some consecutive frames, a column for each.
+struct Block {
+    /// `[û, f̄, f̄_{i+1} − f̄]` (2 N_d + 2 N_f rows).
+    motion: DMatrix<f64>,
+    /// `ν` (N_0 rows).
+    innovations: DMatrix<f64>,
+}
 
 impl Simulated<'_> {
-    fn means(&self, pairs: &mut [Pair], held_pairs: &mut [Pair], lower: &DMatrix<f64>) -> Means {
-        let Self {
-            structure,
-            frames,
-            seed,
-            on_share,
-        } = *self;
-        let (rows, all, theta) = (lower.nrows(), pairs.len(), held_pairs.len());
-        let mut simulator = structure.undamaged_simulator(seed);
-        let split = |values: &[f64]| {
-            let z = structure
-                .observation_channels
-                .iter()
-                .map(|channel| values[*channel]);
-            let known = structure
-                .excitation_channels
-                .iter()
-                .map(|channel| channel.map_or(0.0, |channel| values[channel]));
-            (
-                DVector::from_iterator(z.len(), z),
-                DVector::from_iterator(known.len(), known),
-            )
-        };
+    fn means(&self, mut filter: SteadyFilter, tangents: &[Tangent], lower: &DMatrix<f64>) -> Means {
+        let mut data = Data::new(self.structure, self.seed);
+        let (rows, states) = filter.model().observation.shape();
+        let held: Vec<&DMatrix<f64>> = tangents
+            .iter()
+            .filter_map(|tangent| tangent.held_gain.as_ref())
+            .collect();
+        let (all, theta) = (tangents.len(), held.len());
+        // `∂û` of all unknowns, and how much more it is in the extended filter
+        let mut moved = DMatrix::zeros(states, all + theta);
+        let mut next = moved.clone();
         let mut derivatives = DMatrix::zeros(rows, all + theta);
         let mut products = DMatrix::zeros(all + theta, all + theta);
-        let (mut z, mut known) = split(&simulator.advance_frame().values);
-        for frame in 0..frames {
-            if frame.is_multiple_of(FRAMES_PER_REPORT) {
-                on_share(frame as f64 / frames as f64);
-            }
-            let (next_z, next_known) = split(&simulator.advance_frame().values);
-            let every_pair = pairs.iter_mut().chain(held_pairs.iter_mut());
-            for (pair, mut column) in every_pair.zip(derivatives.column_iter_mut()) {
-                for filter in pair.iter_mut() {
-                    filter.step(&z, &known, &next_known);
+        for first in (0..self.frames).step_by(BLOCK as usize) {
+            (self.on_share)(first as f64 / self.frames as f64);
+            let len = BLOCK.min(self.frames - first) as usize;
+            let block = data.block(&mut filter, len);
+            let pushes = tangents.iter().map(|tangent| block.pushes(tangent, states));
+            let of_held = held.iter().map(|gain| *gain * &block.innovations);
+            let pushes: Vec<DMatrix<f64>> = pushes.chain(of_held).collect();
+            for frame in 0..len {
+                derivatives.gemm(-1.0, &filter.model().observation, &moved, 0.0); // −H ∂û
+                next.gemm(1.0, filter.closed(), &moved, 0.0); // Ā ∂û
+                for (unknown, push) in pushes.iter().enumerate() {
+                    let push = push.column(frame);
+                    let mut column = next.column_mut(unknown);
+                    column += push.rows(0, states);
+                    if push.len() > states {
+                        let mut column = derivatives.column_mut(unknown);
+                        column += push.rows(states, rows);
+                    }
                 }
-                column.copy_from(&pair[0].innovation);
-                column -= &pair[1].innovation;
+                let (whole, mut more) = derivatives.columns_range_pair_mut(0..theta, all..);
+                more += whole;
+                std::mem::swap(&mut moved, &mut next);
+                lower.solve_lower_triangular_mut(&mut derivatives);
+                products.gemm_tr(1.0, &derivatives, &derivatives, 1.0);
             }
-            lower.solve_lower_triangular_mut(&mut derivatives);
-            products.gemm_tr(1.0, &derivatives, &derivatives, 1.0);
-            (z, known) = (next_z, next_known);
         }
-        products /= frames as f64 * (2.0 * DIFFERENCE).powi(2);
+        products /= self.frames as f64;
         Means {
             held: products.view((0, 0), (all, all)).into_owned(),
             counted: products.view((all, all), (theta, theta)).into_owned(),
             pull: products.view((all, 0), (theta, all)).into_owned(),
+        }
+    }
+}
+
+impl Block {
+    /// Returns what the data add to `∂û_{i+1}` and, for a parameter, to `∂ν_i` below it.
+    fn pushes(&self, tangent: &Tangent, states: usize) -> DMatrix<f64> {
+        let by_gain = &tangent.gain * &self.innovations; // ∂K ν
+        match &tangent.by_motion {
+            None => by_gain,
+            Some(by_motion) => {
+                let mut pushes = by_motion * &self.motion;
+                let mut upper = pushes.rows_mut(0, states);
+                upper += by_gain;
+                pushes
+            }
+        }
+    }
+}
+
+/// Simulated data of the sensors.
+struct Data<'s> {
+    structure: &'s Structure,
+    simulator: Simulator,
+    /// `z` (N_0) and the known excitation `f̄` (N_f) of the next frame.
+    z: DVector<f64>,
+    known: DVector<f64>,
+}
+
+impl<'s> Data<'s> {
+    fn new(structure: &'s Structure, seed: u64) -> Self {
+        let mut data = Self {
+            structure,
+            simulator: structure.undamaged_simulator(seed),
+            z: DVector::zeros(0),
+            known: DVector::zeros(0),
+        };
+        data.advance();
+        data
+    }
+
+    /// Replaces the data by those of the next frame, and returns the former.
+    fn advance(&mut self) -> (DVector<f64>, DVector<f64>) {
+        let values = self.simulator.advance_frame().values;
+        let observed = &self.structure.observation_channels;
+        let z = DVector::from_fn(observed.len(), |row, _| values[observed[row]]);
+        let excited = &self.structure.excitation_channels;
+        let known = DVector::from_fn(excited.len(), |input, _| {
+            excited[input].map_or(0.0, |channel| values[channel])
+        });
+        (
+            std::mem::replace(&mut self.z, z),
+            std::mem::replace(&mut self.known, known),
+        )
+    }
+
+    /// Runs the filter over the next `len` frames.
+    fn block(&mut self, filter: &mut SteadyFilter, len: usize) -> Block {
+        let (states, inputs) = (filter.state.len(), self.known.len());
+        let mut block = Block {
+            motion: DMatrix::zeros(states + 2 * inputs, len),
+            innovations: DMatrix::zeros(self.z.len(), len),
+        };
+        for frame in 0..len {
+            let (z, known) = self.advance();
+            let mut motion = block.motion.column_mut(frame);
+            motion.rows_mut(0, states).copy_from(&filter.state);
+            motion.rows_mut(states, inputs).copy_from(&known);
+            motion
+                .rows_mut(states + inputs, inputs)
+                .copy_from(&(&self.known - &known));
+            filter.step(&z, &known, &self.known);
+            block.innovations.set_column(frame, &filter.innovation);
+        }
+        block
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    /// Returns the information from central differences of filters that run on the same data, the
+    /// plain form of the derivatives.
+    fn by_differences(structure: &Structure, frames: u64) -> Information {
+        let (levels, means) = (level_parts(structure), structure.prior_means());
+        let mut model = structure.model();
+        let mut of = |theta: &[f64], levels: &[NoiseCovariances]| {
+            let model = sampled(structure, &mut model, theta);
+            SteadyFilter::new(model, sum_of(structure, levels)).unwrap()
+        };
+        let filter = of(&means, &levels);
+        let (theta, all) = (means.len(), means.len() + levels.len());
+        let mut pairs: Vec<[SteadyFilter; 2]> = Vec::new();
+        for unknown in 0..all {
+            pairs.push([DIFFERENCE, -DIFFERENCE].map(|by| {
+                let (mut means, mut levels) = (means.clone(), levels.clone());
+                match unknown.checked_sub(theta) {
+                    None => means[unknown] += by,
+                    Some(level) => {
+                        levels[level].excitation *= by.exp();
+                        levels[level].sensors *= by.exp();
+                    }
+                }
+                of(&means, &levels)
+            }));
+        }
+        for parameter in 0..theta {
+            pairs.push([0, 1].map(|side| pairs[parameter][side].with_updates_of(&filter)));
+        }
+        let lower = filter.innovation_covariance.clone().cholesky().unwrap().l();
+        let whiten = |x: DMatrix<f64>| whitened(x, &lower);
+        let whole: Vec<DMatrix<f64>> = pairs[..all]
+            .iter()
+            .map(|[up, down]| {
+                let change = &up.innovation_covariance - &down.innovation_covariance;
+                whiten(change / (2.0 * DIFFERENCE))
+            })
+            .collect();
+        let mut data = Data::new(structure, 1);
+        let mut products = DMatrix::zeros(all + theta, all + theta);
+        for _ in 0..frames {
+            let (z, known) = data.advance();
+            let mut derivatives = DMatrix::zeros(z.len(), all + theta);
+            for (pair, mut column) in pairs.iter_mut().zip(derivatives.column_iter_mut()) {
+                pair.iter_mut()
+                    .for_each(|filter| filter.step(&z, &known, &data.known));
+                column
+                    .copy_from(&((&pair[0].innovation - &pair[1].innovation) / (2.0 * DIFFERENCE)));
+            }
+            lower.solve_lower_triangular_mut(&mut derivatives);
+            products += derivatives.tr_mul(&derivatives) / frames as f64;
+        }
+        let held = DMatrix::from_fn(all, all, |i, j| {
+            products[(i, j)] + 0.5 * whole[i].dot(&whole[j])
+        });
+        Information {
+            held,
+            counted: products.view((all, all), (theta, theta)).into_owned(),
+            pull: products.view((all, 0), (theta, all)).into_owned(),
+        }
+    }
+
+    #[test]
+    fn derivatives_of_the_filter_are_the_limit_of_differences_between_filters() {
+        for text in [
+            include_str!("../../../docs/examples/demo.toml"),
+            include_str!("../../../docs/examples/output-only.toml"),
+        ] {
+            let structure = Structure::parse(text, Path::new("example.toml")).unwrap();
+            let frames = 300;
+            let found = Information::expected(&structure, frames, 1, &|_| {}).unwrap();
+            let expected = by_differences(&structure, frames);
+            let theta = structure.parameters.len();
+            let scale = |i: usize, j: usize| (expected.held[(i, i)] * expected.held[(j, j)]).sqrt();
+            let agree = |found: f64, expected: f64, scale: f64, what: &str| {
+                // The differences are right to second order in DIFFERENCE.
+                assert!(
+                    (found - expected).abs() < 1e-4 * scale,
+                    "{what}: {found} for {expected}"
+                );
+            };
+            for i in 0..found.held.nrows() {
+                for j in 0..found.held.ncols() {
+                    let place = (i, j);
+                    agree(found.held[place], expected.held[place], scale(i, j), "held");
+                    if i < theta {
+                        agree(found.pull[place], expected.pull[place], scale(i, j), "pull");
+                    }
+                    if i < theta && j < theta {
+                        let counted = [&found, &expected].map(|of| of.counted[place]);
+                        agree(counted[0], counted[1], scale(i, j), "counted");
+                    }
+                }
+            }
         }
     }
 }

@@ -82,6 +82,7 @@ mod assembly;
 mod check;
 mod classes;
 mod common_motion;
+mod computed;
 mod drawing;
 mod excitation_dependence;
 mod filter_settings;

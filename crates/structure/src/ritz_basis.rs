@@ -46,8 +46,9 @@ pub(crate) struct RitzBasis {
 
 impl Structure {
     /// Returns the shapes for the analysis of a large model; `None` if it is analysed as it is.
-    pub(crate) fn analysis_basis(&self) -> Option<RitzBasis> {
-        (self.system.len() > LARGEST_WHOLE).then(|| self.basis(MOST_SHAPES))
+    pub(crate) fn analysis_basis(&self) -> Option<&RitzBasis> {
+        let basis = || (self.system.len() > LARGEST_WHOLE).then(|| self.basis(MOST_SHAPES));
+        self.analysis_basis.get_or_init(basis).as_ref()
     }
 
     fn basis(&self, most: usize) -> RitzBasis {
@@ -68,42 +69,54 @@ impl Structure {
         }
     }
 
-    /// Returns `Σ w a aᵀ` over the responses `a` (in modes) to all forces at all frequencies. The
-    /// weight makes the sum of squares of the accelerations one for each force.
+    /// Returns `Σ w a aᵀ` over the responses `a` (in modes) to all forces at all frequencies, with
+    /// the response to each force at rest. The weight makes the sum of squares of the accelerations
+    /// one for each force, and the square of the response at rest, too.
+    ///
+    /// The modes respond to every force `l` (in modes) by the same receptances `h(ω)`, so that the
+    /// sum over the frequencies is `(l lᵀ) ∘ G` with `G = Re Σ h hᴴ`.
     fn squared_responses(&self, mass: &DMatrix<f64>) -> DMatrix<f64> {
+        let omegas = DVector::from_column_slice(&self.modes.angular_frequencies);
+        let moving = self.squared_receptances();
+        let softness = omegas.map(|omega| omega.powi(-2));
+        let forces = [self.excitation_forces(mass), self.sensor_forces()];
+        let mut of_moving = DMatrix::zeros(omegas.len(), omegas.len());
+        let mut of_still = of_moving.clone();
+        for force in forces.iter().flat_map(|forces| chosen(forces)) {
+            let loads = self.modes.shapes.tr_mul(force); // Φᵀ p
+            let squares = loads.component_mul(&loads);
+            let level = squares.dot(&moving.diagonal()); // Σ |a|²
+            let still = loads.component_mul(&softness).norm_squared();
+            if level > 0.0 {
+                of_moving.ger(1.0 / level, &loads, &loads, 1.0);
+                of_still.ger(1.0 / still, &loads, &loads, 1.0);
+            }
+        }
+        of_still.component_mul_assign(&(&softness * softness.transpose()));
+        of_moving.component_mul(&moving) + of_still
+    }
+
+    /// Returns `G = Re Σ h hᴴ` of the accelerations `h` of the modes under a unit force on each,
+    /// over the frequencies up to half the sampling rate.
+    fn squared_receptances(&self) -> DMatrix<f64> {
         let omegas = &self.modes.angular_frequencies;
         let ratios = self.modes.damping_ratios(&self.system);
         let highest = PI / self.step_s(); // half the sampling rate
         let even = (1..=FREQUENCIES).map(|k| highest * k as f64 / FREQUENCIES as f64);
         let resonances = omegas.iter().copied().filter(|omega| *omega < highest);
         let frequencies: Vec<f64> = even.chain(resonances).collect();
-        let forces = [self.excitation_forces(mass), self.sensor_forces()];
+        let receptance = |mode: usize, by: f64| {
+            let omega = omegas[mode];
+            let stiffness = Complex::new(omega * omega - by * by, 2.0 * ratios[mode] * omega * by);
+            -by * by / stiffness
+        };
+        let parts = [|h: Complex<f64>| h.re, |h: Complex<f64>| h.im];
         let mut sum = DMatrix::zeros(omegas.len(), omegas.len());
-        for force in forces.iter().flat_map(|forces| chosen(forces)) {
-            let loads = self.modes.shapes.tr_mul(force); // Φᵀ p
-            let mut responses = DMatrix::zeros(omegas.len(), 2 * frequencies.len() + 1);
-            for (mode, omega) in omegas.iter().enumerate() {
-                for (at, by) in frequencies.iter().enumerate() {
-                    let stiffness =
-                        Complex::new(omega * omega - by * by, 2.0 * ratios[mode] * omega * by);
-                    let acceleration = -by * by * loads[mode] / stiffness;
-                    responses[(mode, 2 * at)] = acceleration.re;
-                    responses[(mode, 2 * at + 1)] = acceleration.im;
-                }
-            }
-            let level = responses.norm();
-            let still =
-                DVector::from_fn(omegas.len(), |mode, _| loads[mode] / omegas[mode].powi(2));
-            let scale = level / still.norm();
-            responses.set_column(2 * frequencies.len(), &(still * scale));
-            if level > 0.0 {
-                sum.gemm(
-                    1.0 / (level * level),
-                    &responses,
-                    &responses.transpose(),
-                    1.0,
-                );
-            }
+        for part in parts {
+            let responses = DMatrix::from_fn(omegas.len(), frequencies.len(), |mode, at| {
+                part(receptance(mode, frequencies[at]))
+            });
+            sum.gemm(1.0, &responses, &responses.transpose(), 1.0);
         }
         sum
     }
@@ -228,10 +241,44 @@ mod tests {
         [complex(basis.shapes.tr_mul(roof)).dot(&x), -y.dot(&moved)]
     }
 
+    /// Every force and frequency by itself, the plain form of the sum.
+    #[test]
+    fn squared_responses_are_the_sum_over_forces_and_frequencies() {
+        let text = include_str!("../../../docs/examples/demo.toml");
+        let structure = Structure::parse(text, Path::new("demo.toml")).unwrap();
+        let mass = structure.system.mass.to_dense();
+        let omegas = &structure.modes.angular_frequencies;
+        let ratios = structure.modes.damping_ratios(&structure.system);
+        let highest = PI / structure.step_s();
+        let even = (1..=FREQUENCIES).map(|k| highest * k as f64 / FREQUENCIES as f64);
+        let frequencies = even.chain(omegas.iter().copied().filter(|omega| *omega < highest));
+        let frequencies: Vec<f64> = frequencies.collect();
+        let mut expected = DMatrix::zeros(omegas.len(), omegas.len());
+        let forces = [
+            structure.excitation_forces(&mass),
+            structure.sensor_forces(),
+        ];
+        for force in forces.iter().flatten() {
+            let loads = structure.modes.shapes.tr_mul(force);
+            let moving = DMatrix::from_fn(omegas.len(), frequencies.len(), |mode, at| {
+                let (omega, by) = (omegas[mode], frequencies[at]);
+                let damping = 2.0 * ratios[mode] * omega * by;
+                -by * by * loads[mode] / Complex::new(omega * omega - by * by, damping)
+            });
+            let still =
+                DVector::from_fn(omegas.len(), |mode, _| loads[mode] / omegas[mode].powi(2));
+            let squares = &moving * moving.adjoint() / Complex::from(moving.norm_squared());
+            expected += squares.map(|entry| entry.re);
+            expected += &still * still.transpose() / still.norm_squared();
+        }
+        let found = structure.squared_responses(&mass);
+        assert!((found - &expected).norm() < 1e-12 * expected.norm());
+    }
+
     #[test]
     fn reduced_model_and_its_sensitivity_agree_with_the_whole_one_in_the_sampled_band() {
         let structure = Structure::parse(TALL, Path::new("tall.toml")).unwrap();
-        let reduced = structure.analysis_basis().unwrap();
+        let reduced = structure.analysis_basis().unwrap().clone();
         let whole = RitzBasis {
             shapes: structure.modes.shapes.clone(),
             shares: structure

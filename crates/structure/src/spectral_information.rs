@@ -151,7 +151,7 @@ impl<'s> SpectralModel<'s> {
         columns.push(match truth {
             None => DVector::zeros(columns.first().map_or(0, DVector::len)),
             Some(truth) => {
-                let other = truth.linearised.response(at.omega)?.transfer;
+                let other = truth.linearised.transfer(at.omega)?;
                 let error = scaled_columns(&(&other - &own.transfer), &self.known); // ΔG Σ_k^½
                 let excess = truth.unpredicted(&other) + &error * error.adjoint() - phi;
                 let excess = whitened(excess, &lower)?;
@@ -212,7 +212,7 @@ impl<'s> SpectralModel<'s> {
         let mut seen = Vec::new();
         for Frequency { omega, weight } in frequencies(&[&self.linearised], self.structure.step_s())
         {
-            let g = self.linearised.response(omega)?.transfer;
+            let g = self.linearised.transfer(omega)?;
             let spectrum = (&g * &excitation * g.adjoint())
                 .diagonal()
                 .map(|entry| entry.re * weight);

@@ -67,7 +67,6 @@ impl Linearised {
     pub(crate) fn new(structure: &Structure, theta: &[f64]) -> Self {
         let mut model = structure.model();
         let basis = structure.analysis_basis();
-        let basis = basis.as_ref();
         let slope = |parameter: usize, model: &mut _| {
             let mut moved = |by: f64| {
                 let mut theta = theta.to_vec();
@@ -94,12 +93,23 @@ impl Linearised {
         }
     }
 
+    /// Returns `G` at `omega` (rad/s); `None` at the resonance of an undamped mode.
+    pub(crate) fn transfer(&self, omega: f64) -> Option<Complexes> {
+        let motion = Solver::new(self, omega)?.solve(&complex(&self.at.input))?;
+        Some(self.seen(&motion))
+    }
+
+    /// Returns `H U + D`.
+    fn seen(&self, motion: &Complexes) -> Complexes {
+        product(&self.at.observation, motion) + complex(&self.at.direct)
+    }
+
     /// Returns `G` and its derivatives at `omega` (rad/s); `None` at the resonance of an undamped
     /// mode.
     pub(crate) fn response(&self, omega: f64) -> Option<Response> {
         let solver = Solver::new(self, omega)?;
         let motion = solver.solve(&complex(&self.at.input))?;
-        let transfer = product(&self.at.observation, &motion) + complex(&self.at.direct);
+        let transfer = self.seen(&motion);
         let slope = |slope: &LinearForm| {
             let pushed = product(&slope.system, &motion) + complex(&slope.input);
             let moved = solver.solve(&pushed)?;

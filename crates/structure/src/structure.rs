@@ -2,11 +2,11 @@
 
 use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
+use crate::computed::Computed;
 use crate::condition::Condition;
 use crate::error::{Diagnostic, StructureError};
 use crate::estimated_response::EstimatedResponse;
 use crate::excitation::{Action, Excitation};
-use crate::excitation_dependence::ExcitationErrors;
 use crate::file::StructureFile;
 use crate::filter_plan::{Annealing, FilterPlan};
 use crate::fusion_plan::FusionPlan;
@@ -19,6 +19,7 @@ use crate::node::{Channel, Node};
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::parameter::Parameter;
 use crate::record_map::RecordMap;
+use crate::ritz_basis::RitzBasis;
 use crate::settings::{BandLimit, IngestSettings, ParticleKeys};
 use crate::simulation_plan::SimulationPlan;
 use crate::text_encoding::{WrongEncoding, decode};
@@ -67,7 +68,10 @@ pub struct Structure {
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
     pub(crate) conditions: Vec<Condition>,
-    pub(crate) excitation_errors: ExcitationErrors,
+    /// Errors of the parameters by unmeasured excitations.
+    pub(crate) excitation_errors: Computed<Vec<f64>>,
+    /// Shapes for the analysis; `None` if the model is analysed as it is.
+    pub(crate) analysis_basis: Computed<Option<RitzBasis>>,
     /// Modes as designed. No clone of a structure changes its mass or stiffness.
     pub(crate) modes: Arc<Modes>,
 }

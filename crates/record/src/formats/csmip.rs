@@ -9,6 +9,18 @@
 //! This module reads the lines of text only, because the integers and reals repeat them with fewer
 //! digits.
 //!
+//! The first of these lines that is complete dates the first sample:
+//!
+//! - `Start time: 12/20/22, 10:34: 1.0 UTC (GPS)`
+//! - `TRIGGER TIME: 11/21/86, 23:33:12.6 GMT`, because these recorders have no memory and start with
+//!   the trigger
+//! - `Rcrd of Fri Oct 11, 2013 16:05:59.0 PDT`. Such a file states its start to the minute only,
+//!   as `23:05 GMT (*LoQ*)`: the clock of the recorder was of low quality.
+//!
+//! `(ORIGIN(USGS): 04/25/92, 18:06:04.2 GMT)` is the time of the earthquake. The recorder starts when
+//! its waves arrive, some seconds to a minute later. This time therefore dates the event, and no
+//! sample.
+//!
 //! Source: California Strong Motion Instrumentation Program, *Standard tape format for processed
 //! strong-motion data* (Shakal and Huang 1985, report OSMS 85-03).
 
@@ -23,6 +35,13 @@ const COLUMNS: NumberColumns = NumberColumns {
     per_line: 8,
     width: 10,
 };
+
+const MONTHS: [&str; 12] = [
+    "jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec",
+];
+
+/// Time zones of the program, and the hours by which they are behind UTC.
+const ZONES: [(&str, i64); 4] = [("pst", 8), ("pdt", 7), ("utc", 0), ("gmt", 0)];
 
 /// Returns `true` if the head of a file is that of a CSMIP volume 2 file.
 pub(crate) fn is_csmip(head: &str) -> bool {
@@ -40,7 +59,12 @@ pub(crate) fn is_csmip(head: &str) -> bool {
 struct Heading {
     channel: Option<u32>,
     place: String,
+    /// Time of the first sample, as `Start time` or `TRIGGER TIME` states it.
     start_ns: Option<i64>,
+    /// Time of the first sample, as `Rcrd of` states it in local time.
+    local_start_ns: Option<i64>,
+    /// Time of the earthquake.
+    event_ns: Option<i64>,
 }
 
 /// Reads all blocks of all channels. Their names are `channel-N.acceleration` and so on.
@@ -139,8 +163,9 @@ fn read_block(
         Some(number) => format!("channel-{number}.{quantity}"),
         None => quantity.to_owned(),
     };
-    let segment = Segment::new(heading.start_ns.unwrap_or(0), samples);
-    let origin = if heading.start_ns.is_some() {
+    let start_ns = heading.start_ns.or(heading.local_start_ns);
+    let segment = Segment::new(start_ns.unwrap_or(0), samples);
+    let origin = if start_ns.is_some() {
         TimeOrigin::Epoch
     } else {
         TimeOrigin::Start
@@ -149,16 +174,27 @@ fn read_block(
     Ok(channel
         .with_unit(unit)
         .with_description(heading.place.clone())
+        .with_event_ns(heading.event_ns)
         .with_origin(origin))
 }
 
 impl Heading {
     /// Parses a line of text.
     fn take(&mut self, line: &str, lower: &str) {
-        if let Some((_, rest)) = lower.split_once("start time:")
-            && self.start_ns.is_none()
-        {
-            self.start_ns = start_ns(rest);
+        for key in ["start time:", "trigger time:"] {
+            if let Some((_, rest)) = lower.split_once(key) {
+                self.start_ns = self.start_ns.or_else(|| universal_ns(rest));
+            }
+        }
+        let local = ["rcrd of ", "record of "].map(|key| lower.strip_prefix(key));
+        if let Some(rest) = local.into_iter().flatten().next() {
+            self.local_start_ns = self.local_start_ns.or_else(|| local_ns(rest));
+        }
+        if let Some((_, rest)) = lower.split_once("(origin") {
+            let time = rest
+                .split_once(':')
+                .and_then(|(_, time)| universal_ns(time));
+            self.event_ns = self.event_ns.or(time);
         }
         if let Some(rest) = lower.strip_prefix("chan") {
             let number = rest
@@ -178,7 +214,7 @@ impl Heading {
 }
 
 /// Parses `12/20/22, 10:34: 1.0 UTC`. Two-digit years are 1970 to 2069.
-fn start_ns(text: &str) -> Option<i64> {
+fn universal_ns(text: &str) -> Option<i64> {
     let (date, time) = text.split_once(',')?;
     let time = time.split_once("utc").or_else(|| time.split_once("gmt"))?.0;
     let mut date = date.split('/').map(|part| part.trim().parse::<i64>().ok());
@@ -188,13 +224,30 @@ fn start_ns(text: &str) -> Option<i64> {
         70..100 => 1900 + year,
         _ => year,
     };
-    let mut time = time.split(':').map(str::trim);
-    let (hour, minute, second) = (
-        time.next()?.parse().ok()?,
-        time.next()?.parse().ok()?,
-        decimal(time.next()?)?,
-    );
+    let (hour, minute, second) = time_of_day(time)?;
     civil_ns(year, month, day, hour, minute, second)
+}
+
+/// Parses `Fri Oct 11, 2013 16:05:59.0 PDT`.
+fn local_ns(text: &str) -> Option<i64> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let [_, month, day, year, time, zone, ..] = words[..] else {
+        return None;
+    };
+    let month = MONTHS.iter().position(|name| *name == month)? as i64 + 1;
+    let day = day.trim_end_matches(',').parse().ok()?;
+    let (hour, minute, second) = time_of_day(time)?;
+    let (_, behind_h) = ZONES.iter().find(|(name, _)| *name == zone)?;
+    let local_ns = civil_ns(year.parse().ok()?, month, day, hour, minute, second)?;
+    local_ns.checked_add(behind_h * 3_600_000_000_000)
+}
+
+/// Parses `10:34: 1.0` as hour, minute and second.
+fn time_of_day(text: &str) -> Option<(i64, i64, f64)> {
+    let mut parts = text.split(':').map(str::trim);
+    let hour = parts.next()?.parse().ok()?;
+    let minute = parts.next()?.parse().ok()?;
+    Some((hour, minute, decimal(parts.next()?)?))
 }
 
 #[cfg(test)]
@@ -250,6 +303,53 @@ mod tests {
             channels[0].description(),
             Some("Tran Location: Top of column")
         );
+    }
+
+    /// Returns the file with another line instead of its start, and a line before it.
+    fn dated(line: &str) -> RecordedChannel {
+        let start = "89324-VAA6D           Start time: 12/20/22, 10:34: 1.5 UTC (GPS)\n";
+        read(file().replace(start, line).as_bytes())
+            .unwrap()
+            .remove(0)
+    }
+
+    /// Each of these forms is in an archive of the station 89324.
+    /// Source of the times: `date -u -d '2013-10-11T16:05:59-07:00' +%s` and so on.
+    #[test]
+    fn start_to_the_minute_takes_its_seconds_from_the_local_time() {
+        let lines = "Rcrd of Fri Oct 11, 2013 16:05:59.0 PDT               (Avol1 v0.1, 4/13 CSMIP)\n\
+            CSMIP Preliminary Processing            (Origin:  To be determined)\n\
+            89324-VA874-13284.06                 Start time: 10/11/13, 23:05 GMT (*LoQ*)\n";
+        let channel = dated(lines);
+        assert_eq!(channel.start_ns(), Some(1_381_532_759_000_000_000));
+        assert_eq!(
+            (channel.origin(), channel.event_ns()),
+            (TimeOrigin::Epoch, None)
+        );
+        let winter = dated("Rcrd of Thu Dec  8, 2016 06:50:16.0 PST\n");
+        assert_eq!(winter.start_ns(), Some(1_481_208_616_000_000_000));
+    }
+
+    #[test]
+    fn time_of_the_trigger_is_the_start() {
+        let channel = dated(
+            "NOVEMBER 21, 1986  15:33 PST            (ORIGIN(USGS): 11/21/86, 23:33:01.8 GMT)\n\
+            89324-C0161-86328.01               TRIGGER TIME: 11/21/86, 23:33:12.6 GMT\n",
+        );
+        assert_eq!(channel.start_ns(), Some(532_999_992_600_000_000));
+        assert_eq!(channel.event_ns(), Some(532_999_981_800_000_000));
+    }
+
+    #[test]
+    fn time_of_the_earthquake_dates_no_sample() {
+        let lines = "DEC 16, 1982 06:53 UTC                  (ORIGIN(PDE): 12/16/82, 06:53:01.3 UTC)\n\
+            89324-C0161-83238.01               TRIGGER TIME: 12/16/82, 06:53:XX.X UTC\n";
+        let channel = dated(lines);
+        assert_eq!(
+            (channel.origin(), channel.start_ns()),
+            (TimeOrigin::Start, Some(0))
+        );
+        assert_eq!(channel.event_ns(), Some(408_869_581_300_000_000));
     }
 
     #[test]

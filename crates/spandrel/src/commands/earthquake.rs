@@ -50,8 +50,8 @@ pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
             Err(error) => failed.push(error),
         }
     }
-    match records.iter().find(|record| !record.is_dated()) {
-        None => records.sort_by_key(|record| record.start_ns),
+    match records.iter().find(|record| record.time_ns().is_none()) {
+        None => records.sort_by_key(EventRecord::time_ns),
         // Nothing is known of where it belongs, so the order of the command line counts.
         Some(undated) => check_order(&records, undated)?,
     }
@@ -105,10 +105,11 @@ pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
 
 /// Checks that the recordings with dates are in the order of time.
 fn check_order(records: &[EventRecord], undated: &EventRecord) -> Result<(), AppError> {
-    let dated: Vec<&EventRecord> = records.iter().filter(|record| record.is_dated()).collect();
+    let dated = records.iter().filter(|record| record.time_ns().is_some());
+    let dated: Vec<&EventRecord> = dated.collect();
     let wrong = dated
         .windows(2)
-        .find(|two| two[0].start_ns > two[1].start_ns);
+        .find(|two| two[0].time_ns() > two[1].time_ns());
     wrong.map_or(Ok(()), |two| {
         Err(AppError::NotInOrder {
             first: two[0].path.clone(),
@@ -176,9 +177,9 @@ impl<'s> Course<'s> {
     fn report(&mut self, record: &EventRecord, name: EventName) -> Result<EventReport, AppError> {
         self.number += 1;
         let structure = &self.with.structure;
-        let dated = self.settled_ns.filter(|_| record.is_dated());
+        let times = self.settled_ns.zip(record.time_ns());
         let unsettled_s =
-            dated.map(|settled_ns| settled_ns.saturating_sub(record.start_ns) as f64 * 1e-9);
+            times.map(|(settled_ns, time_ns)| settled_ns.saturating_sub(time_ns) as f64 * 1e-9);
         let phases = PhaseSettings {
             rate_hz: structure.sampling_rate_hz(),
             fundamental_hz: fundamental_hz(structure),
@@ -190,9 +191,9 @@ impl<'s> Course<'s> {
         let shaking = windows
             .iter()
             .rfind(|window| window.phase == Phase::Shaking);
-        if let Some(last) = shaking {
+        if let (Some(last), Some(time_ns)) = (shaking, record.time_ns()) {
             let after_ns = ((last.end_s + self.settling_s) * 1e9) as i64;
-            self.settled_ns = Some(record.start_ns.saturating_add(after_ns));
+            self.settled_ns = Some(time_ns.saturating_add(after_ns));
         }
         let identified = identify(self.with, record)?;
         let motions = whole::motions(structure, record)?;

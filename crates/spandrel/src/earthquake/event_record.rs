@@ -8,6 +8,7 @@ use spandrel_earthquake::{
     IntensityFigures, MotionFigures, intensity_figures, motion_figures, spectral_acceleration,
 };
 use spandrel_faults::{ChannelHealth, SensorCheck};
+use spandrel_record::{ReadOptions, RecordedChannel, RecordedFile};
 use spandrel_sensor::{Row, open_record, recorded_rows};
 use spandrel_structure::{Channel, Quantity, Structure};
 use std::path::{Path, PathBuf};
@@ -22,8 +23,10 @@ pub const PERIODS_S: [f64; 5] = [0.1, 0.2, 0.5, 1.0, 2.0];
 pub struct EventRecord {
     /// Path of the recording.
     pub path: PathBuf,
-    /// Time of the first row (ns since 1970-01-01 UTC).
+    /// Time of the first row (ns since 1970-01-01 UTC, or since itself if the recording has no dates).
     pub start_ns: i64,
+    /// Time of the earthquake (ns since 1970-01-01 UTC), if the recording states no other date.
+    pub event_ns: Option<i64>,
     /// The rows, for the identification.
     pub rows: Vec<Row>,
     /// Samples of each channel, frame by frame, `NaN` where one is missing (SI).
@@ -63,6 +66,14 @@ pub struct SpectralValue {
 /// Largest number of frames per row of a recording, so that a wrong time cannot exhaust the memory.
 const MOST_FRAMES_PER_ROW: usize = 100;
 
+/// Returns the time of the earthquake that a recording states (ns since 1970-01-01 UTC).
+///
+/// A table, which may be unreadable without a mapping, states none.
+fn event_ns(path: &Path) -> Option<i64> {
+    let file = RecordedFile::read(path, &ReadOptions::default()).ok()?;
+    file.channels().iter().find_map(RecordedChannel::event_ns)
+}
+
 impl EventRecord {
     /// Reads a recording.
     ///
@@ -93,26 +104,36 @@ impl EventRecord {
                 channel[frame(row)] = *value;
             }
         }
+        let event_ns = match is_without_date(start_ns) {
+            true => event_ns(path),
+            false => None,
+        };
         Ok(Self {
             path: path.to_owned(),
             start_ns,
+            event_ns,
             health: check.health().to_vec(),
             rows,
             channels,
         })
     }
 
-    /// Returns `true` if the times of the recording are dates.
-    pub fn is_dated(&self) -> bool {
-        !is_without_date(self.start_ns)
+    /// Returns the time of the first sample, or about a minute before it, that of the earthquake (ns
+    /// since 1970-01-01 UTC). `None` if the recording states neither.
+    pub fn time_ns(&self) -> Option<i64> {
+        let start_ns = (!is_without_date(self.start_ns)).then_some(self.start_ns);
+        start_ns.or(self.event_ns)
     }
 
-    /// Returns the date and time of the first sample (UTC). `None` if the recording has no dates.
+    /// Returns date and time (UTC) of the first sample to the second, or of the earthquake to the
+    /// minute. `None` if the recording states neither.
     pub fn date(&self) -> Option<String> {
-        self.is_dated().then(|| {
-            let time = Timestamp::from_nanosecond(self.start_ns.into()).unwrap_or_default();
-            time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string()
-        })
+        let time = Timestamp::from_nanosecond(self.time_ns()?.into()).unwrap_or_default();
+        let format = match self.event_ns {
+            None => "%Y-%m-%dT%H:%M:%SZ",
+            Some(_) => "%Y-%m-%dT%H:%MZ",
+        };
+        Some(time.strftime(format).to_string())
     }
 
     /// Returns the length (s).

@@ -68,7 +68,7 @@ impl Motion {
         let (step_s, holds) = (structure.step_s(), structure.input_holds());
         let basis = match amplitude {
             Amplitude::Any => None,
-            Amplitude::Small => structure.analysis_basis(),
+            Amplitude::Small => structure.analysis_basis().cloned(),
         };
         let rule = if model.is_hysteretic() && amplitude == Amplitude::Any {
             Rule::RungeKutta(Stages::new(&mut model, theta, step_s))
