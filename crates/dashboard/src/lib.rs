@@ -27,7 +27,7 @@
 //! Types: `topic`, `series` (bounded data over time), `about` (data from the structure file).
 //!
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
-//! and `overview` (what needs attention, and why), `conditions` (temperatures and the like), `view`
+//! and `overview` (what needs attention, and why), `levels` (samples of the last minute), `conditions` (temperatures and the like), `view`
 //! (data for the page), `history` (spans of time), `judgements` (years of a judged quantity).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
@@ -51,6 +51,7 @@ mod innovations;
 mod store;
 
 mod conditions;
+mod levels;
 mod overview;
 mod sensors;
 mod view;

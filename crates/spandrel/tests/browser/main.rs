@@ -20,6 +20,7 @@ mod mistakes;
 mod seasons;
 #[path = "../../../../tests/support/skip.rs"]
 mod skip;
+mod waveforms;
 mod workspace;
 
 use chromium::Browser;
