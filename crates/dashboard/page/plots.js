@@ -152,7 +152,6 @@ export function waveformPlot(sensor, points, span, shared) {
     {
       title: sensor.channel,
       file: `waveform-${sensor.channel}`,
-      height: 150,
       unit: unit(sensor.unit),
       names: [name],
       rows: (columns) => columns.get(name),

@@ -32,7 +32,7 @@ export class SensorsTab {
     this.spectra = new Spectra(page.name);
     this.spectra.band.onchange(() => this.groups.spectra.plots.forEach((plot) => plot.dirty()));
     this.groups = {
-      waveforms: new PlotGroup("waveforms", "Waveforms", "The samples, between the minimum and the maximum of each tenth of a second or longer part. A gap has no samples."),
+      waveforms: new PlotGroup("waveforms", "Waveforms", "The samples, between the minimum and the maximum of each tenth of a second, or of a longer part in a long span. A gap has no samples. Sensors with the same unit share a scale, here and below."),
       spectra: new PlotGroup("spectra", "Spectra", "Power spectral density of about the last minute (Welch, Hann windows), without the mean. The lines mark natural frequencies that are known."),
       nodes: new PlotGroup("nodes", "Distributed nodes", "A node far beyond the red dashed limit disagrees with the others."),
       outliers: new PlotGroup("outliers", "Outliers"),
@@ -44,8 +44,9 @@ export class SensorsTab {
     const levelHeads = h("tr", {}, COLUMNS.levels.map((text) => h("th", { scope: "col" }, text)));
     const levelScroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Samples of the last minute" };
     const scale = h("label", { class: "check" }, this.own, "each plot with its own scale");
-    const levelText = "RMS and peak are differences from the mean. Sensors with the same unit share a scale below.";
-    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("div", { class: "card-head" }, h("h2", {}, "Samples of the last minute"), scale), h("p", { class: "group-text" }, levelText), h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
+    const levelText = "RMS and peak are differences from the mean.";
+    this.groups.waveforms.holder.before(scale);
+    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, "Samples of the last minute"), h("p", { class: "group-text" }, levelText), h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
     this.element = h(
       "div",
       {},
@@ -141,7 +142,7 @@ export class SensorsTab {
   #showLevels(sensors) {
     this.samples.hidden = !sensors.some(({ level }) => level) && this.groups.waveforms.plots.length === 0;
     const make = () => {
-      const cells = COLUMNS.levels.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head, class: column > 1 ? "number" : null })));
+      const cells = COLUMNS.levels.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head, class: column > 1 && column < COLUMNS.levels.length - 1 ? "number" : null })));
       return { element: h("tr", {}, cells), cells };
     };
     const sorted = sensors.toSorted((a, b) => natural(a.channel, b.channel));

@@ -64,7 +64,7 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
         browser.screenshot(&format!("waveforms-{scheme}")).await;
     }
     browser
-        .evaluate("document.querySelector('#levels input[type=checkbox]').click()")
+        .evaluate("document.querySelector('#group-waveforms input[type=checkbox]').click()")
         .await;
     browser
         .wait("its own scale", "location.hash.includes('scale=own')")
