@@ -20,9 +20,9 @@ const EVENTS_KEPT: usize = 200;
 /// Maximum number of model classes whose plausibility is stored over time. Further classes are only
 /// shown at their current value.
 const MOST_CLASSES: usize = 64;
-/// Number of points that a reader receives again when it begins to want a series, two seconds of a
-/// waveform.
-const OVERLAP: u64 = 20;
+/// Number of points that a reader receives again when it begins to want a series: 20 s of a
+/// waveform, or one second at 20 times real time.
+const OVERLAP: u64 = 200;
 /// Name of series that concern all channels together.
 pub(crate) const ALL_CHANNELS: &str = "all";
 

@@ -100,7 +100,7 @@ fn only_a_reader_that_wants_waveforms_receives_them() {
     (0..60).for_each(|second| store.handle(waveform(second)));
     let unwanted = store.news(&mut read, 200, |kind| kind != Kind::Waveform);
     assert!(unwanted.is_empty());
-    // The last two seconds again, because the reader may have fetched the past just before them.
+    // The last points again, because the reader may have fetched the past just before them.
     let wanted = store.news(&mut read, 200, |_| true);
     assert_eq!((wanted.len(), wanted[0].2.len()), (1, OVERLAP as usize));
     assert!(store.news(&mut read, 200, |_| true).is_empty());
