@@ -50,6 +50,13 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
             ),
         )
         .await;
+    // A plot is drawn when it is in the window.
+    browser
+        .wait(
+            "the plot of the spectrum",
+            "(document.querySelector('#plot-spectrum-floor-2')?.scrollIntoView(), document.querySelector('#plot-spectrum-floor-2 canvas'))",
+        )
+        .await;
     browser
         .wait(
             "the spectrum",
