@@ -9,7 +9,7 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, CaughtUp, ConditionDisplay, Event, FitDisplay, HistorySpan,
     JudgementDisplay, LossDisplay, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay,
     NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SampleBlock,
-    SensorHealthDisplay, Status,
+    SensorHealthDisplay, SpectrumDisplay, Status, WaveformDisplay,
 };
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -86,6 +86,8 @@ fn the_package_supports_the_versions_of_the_services() {
         NoiseDisplay::encoding(),
         OutlierDisplay::encoding(),
         SensorHealthDisplay::encoding(),
+        WaveformDisplay::encoding(),
+        SpectrumDisplay::encoding(),
         ConditionDisplay::encoding(),
         JudgementDisplay::encoding(),
         ModeDisplay::encoding(),

@@ -146,3 +146,26 @@ def test_the_shape_of_a_mode_is_read():
     assert found.estimate.shape == (spandrel.ShapeValue("floor-1", (1.0, 0.0), 0.0),)
     missing = json.dumps({**mode, "state": "missing", "estimate": None}).encode()
     assert decode(kind, key, encoding_of(kind), missing).estimate is None
+
+
+def test_a_waveform_has_gaps() -> None:
+    channel = {
+        "channel": "roof-x",
+        "missing": 50,
+        "level": {"mean": 0, "rms": 0.5, "last": -0.125},
+        "extremes": [[-1.5, 0.75], None],
+    }
+    waveform = {
+        "structure": "house",
+        "node": "roof",
+        "time_ns": 5,
+        "frames": 100,
+        "bucket_s": 0.5,
+        "channels": [channel, {**channel, "level": None}],
+    }
+    kind = spandrel.Waveform
+    key = "spandrel/house/sensor/roof/waveform"
+    found = decode(kind, key, encoding_of(kind), json.dumps(waveform).encode())
+    assert found.channels[0].extremes == ((-1.5, 0.75), None)
+    assert found.channels[0].level == spandrel.SampleLevel(0.0, 0.5, -0.125)
+    assert found.channels[1].level is None

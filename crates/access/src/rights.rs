@@ -67,7 +67,7 @@ const DISPLAYED: [KeyFamily; 15] = [
 ];
 
 /// Key families that the services of a worker publish.
-const IDENTIFIED: [KeyFamily; 13] = [
+const IDENTIFIED: [KeyFamily; 15] = [
     K::Frames,
     K::Estimates,
     K::Parameter,
@@ -81,6 +81,8 @@ const IDENTIFIED: [KeyFamily; 13] = [
     K::Event,
     K::Description,
     K::Mode,
+    K::Waveform,
+    K::Spectrum,
 ];
 
 /// Returns the rights of a role.
@@ -235,7 +237,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             // After a restart, the progress of ingest separates replayed data from new data.
             each(
                 Right::Subscribe,
-                &[K::Estimates, K::Description, K::Progress(Service::Ingest)],
+                &[
+                    K::Estimates,
+                    K::Description,
+                    K::Progress(Service::Ingest),
+                    K::Waveform,
+                    K::Spectrum,
+                ],
             ),
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
             each(
@@ -313,6 +321,8 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Node
         | K::Outlier
         | K::SensorHealth
+        | K::Waveform
+        | K::Spectrum
         | K::Condition
         | K::Judgement
         | K::JudgementCourse

@@ -200,6 +200,18 @@ impl Keys {
         self.all(KeyFamily::SensorHealth)
     }
 
+    /// Returns the key of the reduced samples of one node.
+    #[must_use]
+    pub fn waveform(&self, node: &Name) -> String {
+        self.key(KeyFamily::Waveform, node)
+    }
+
+    /// Returns the key of the spectra of one node.
+    #[must_use]
+    pub fn spectrum(&self, node: &Name) -> String {
+        self.key(KeyFamily::Spectrum, node)
+    }
+
     /// Returns the key of one condition.
     #[must_use]
     pub fn condition(&self, name: &Name) -> String {
@@ -504,6 +516,10 @@ pub enum KeyFamily {
     Outlier,
     /// [`Keys::sensor_health`], one per node
     SensorHealth,
+    /// [`Keys::waveform`], one per node
+    Waveform,
+    /// [`Keys::spectrum`], one per node
+    Spectrum,
     /// [`Keys::condition`], one per condition
     Condition,
     /// [`Keys::judgement`], one per quantity
@@ -553,7 +569,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 33] = [
+    const WITHOUT_SERVICE: [Self; 35] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -571,6 +587,8 @@ impl KeyFamily {
         Self::Node,
         Self::Outlier,
         Self::SensorHealth,
+        Self::Waveform,
+        Self::Spectrum,
         Self::Condition,
         Self::Judgement,
         Self::JudgementCourse,
@@ -611,6 +629,8 @@ impl KeyFamily {
             Self::Node => "node/{of}",
             Self::Outlier => "outlier/{of}",
             Self::SensorHealth => "sensor/{of}/health",
+            Self::Waveform => "sensor/{of}/waveform",
+            Self::Spectrum => "sensor/{of}/spectrum",
             Self::Condition => "condition/{of}",
             Self::Judgement => "judgement/{of}",
             Self::JudgementCourse => "judgement/{of}/@course",
@@ -789,6 +809,8 @@ mod tests {
                 "spandrel/tower/sensor/storey-1/health",
             ),
             (keys.all_sensor_health(), "spandrel/tower/sensor/*/health"),
+            (keys.waveform(&n), "spandrel/tower/sensor/storey-1/waveform"),
+            (keys.spectrum(&n), "spandrel/tower/sensor/storey-1/spectrum"),
             (keys.condition(&n), "spandrel/tower/condition/storey-1"),
             (keys.all_conditions(), "spandrel/tower/condition/*"),
             (keys.judgement(&n), "spandrel/tower/judgement/storey-1"),

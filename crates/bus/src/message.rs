@@ -32,9 +32,11 @@ mod progress;
 mod samples;
 mod samples_text;
 mod sensor_health;
+mod spectrum;
 mod state;
 mod status;
 mod text;
+mod waveform;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -79,12 +81,14 @@ pub use probability::RoundedProbability;
 pub use progress::Progress;
 pub use samples::{NodeState, Pace, SampleBlock};
 pub use sensor_health::{ChannelHealthDisplay, FaultKind, SensorHealthDisplay, Soundness};
+pub use spectrum::{ChannelSpectrum, MAX_FREQUENCIES, SpectrumDisplay};
 pub use state::StateMessage;
 pub use status::{
     InstrumentState, InstrumentStatus, Load, NodeClock, Standing, Status, is_without_date,
     reported_pace,
 };
 pub use text::MAX_LABEL_BYTES;
+pub use waveform::{ChannelWaveform, MAX_BUCKETS, SampleLevel, WaveformDisplay};
 
 use text::{check_label, check_text};
 

@@ -11,6 +11,7 @@ const SILENT_AFTER_S = 5;
 export class Connection {
   #listeners = { overview: [], structure: [], points: [], state: [], opened: [] };
   #structure = null;
+  #wish = { waveforms: false };
   #socket = null;
   #attempts = 0;
   #timer = null;
@@ -48,12 +49,25 @@ export class Connection {
     this.#open();
   }
 
+  /** Requests the waveforms of the structure, or ends the request. */
+  want(waveforms) {
+    if (waveforms === this.#wish.waveforms) return;
+    this.#wish = { waveforms };
+    this.#ask();
+  }
+
+  /** Sends the request. A new connection repeats it. */
+  #ask() {
+    if (this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(JSON.stringify(this.#wish));
+  }
+
   #open() {
     clearTimeout(this.#timer);
     this.#leave();
     const query = this.#structure ? `?structure=${encodeURIComponent(this.#structure)}` : "";
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
     const socket = new WebSocket(`${scheme}//${location.host}/api/live${query}`);
+    socket.onopen = () => this.#wish.waveforms && this.#ask();
     socket.onmessage = (event) => {
       this.#heard = performance.now();
       this.#attempts = 0;
@@ -73,7 +87,7 @@ export class Connection {
 
   #leave() {
     if (!this.#socket) return;
-    this.#socket.onmessage = this.#socket.onclose = null;
+    this.#socket.onopen = this.#socket.onmessage = this.#socket.onclose = null;
     this.#socket.close();
     this.#socket = null;
   }

@@ -25,6 +25,11 @@ export class PlotGroup {
     this.element.hidden = false;
   }
 
+  /** Shows only the plots with these keys. */
+  show(keys) {
+    for (const [key, plot] of this.#plots) plot.element.hidden = !keys.has(key);
+  }
+
   drop(key) {
     const plot = this.#plots.get(key);
     if (!plot) return;

@@ -55,6 +55,7 @@ export class Plot {
    * - `legend`: list of { name, colour } with a `dash` of a line, or a `shape` of points
    * - `paint(uPlot)`: draws what uPlot does not draw, such as points of several shapes
    * - `at(x)`: returns the text of a time, if it is not a moment
+   * - `isLogarithmic`: whether both axes are logarithmic
    * - `across()`: returns the title of the x axis, if it does not show the time
    * - `height`: height (px)
    * - `sync`: name of the plots that share the crosshair
@@ -211,7 +212,8 @@ export class Plot {
   #data() {
     const columns = new Map(this.plot.names.map((name) => [name, this.points.columns(name)]));
     if ([...columns.values()].every((one) => one === null)) return null;
-    return withHoles(this.plot.rows(columns));
+    const rows = this.plot.rows(columns);
+    return this.plot.across ? rows : withHoles(rows);
   }
 
   #read(index) {
@@ -236,6 +238,7 @@ export class Plot {
   #options() {
     const isNarrow = this.holder.clientWidth < 520;
     const { across } = this.plot;
+    const distr = this.plot.isLogarithmic ? 3 : 1;
     const axis = { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
     return {
       width: this.holder.clientWidth,
@@ -244,7 +247,7 @@ export class Plot {
       legend: { show: false },
       tzDate: (seconds) => (isLocal() ? new Date(1000 * seconds) : uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC")),
       cursor: { sync: { key: across ? null : (this.plot.sync ?? "span") }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
-      scales: { x: { time: !across }, y: { range: this.plot.range ?? padded } },
+      scales: { x: { time: !across, distr }, y: { range: this.plot.range ?? padded, distr } },
       axes: [
         across
           ? { ...axis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(compact), label: across, labelSize: 18 }
@@ -281,7 +284,10 @@ export class Plot {
     ctx.save(); // uPlot caches its settings and does not set them again
     ctx.font = `${WORD_SIZE}px system-ui, sans-serif`;
     const width = u.bbox.width / devicePixelRatio || this.holder.clientWidth;
-    const all = flags(this.plot.marks?.() ?? [], u.scales.x, width, (text) => ctx.measureText(text).width);
+    const place = this.plot.isLogarithmic ? Math.log : (x) => x;
+    const marks = (this.plot.marks?.() ?? []).map((mark) => (mark.x === undefined ? mark : { ...mark, x: place(mark.x) }));
+    const { min, max } = u.scales.x;
+    const all = flags(marks, { min: place(min), max: place(max) }, width, (text) => ctx.measureText(text).width);
     ctx.restore();
     return all;
   }
@@ -348,7 +354,7 @@ export class Plot {
 }
 
 /** Returns a range with a small margin, which is not empty for a constant line. */
-function padded(_, least, largest) {
+export function padded(_, least, largest) {
   if (least === null || largest === null || !Number.isFinite(least)) return [0, 1];
   const room = Math.max((largest - least) * 0.08, Math.abs(largest) * 0.01, 1e-12);
   return [least - room, largest + room];
@@ -373,6 +379,7 @@ function timeTicks(splits, step) {
 }
 
 function compact(tick) {
+  if (tick === null) return null; // a tick of a logarithmic axis without a label
   const size = Math.abs(tick);
   return size !== 0 && (size < 1e-3 || size >= 1e5) ? tick.toExponential(1) : String(Number(tick.toPrecision(6)));
 }

@@ -1,6 +1,6 @@
 // The plots of a structure.
 
-import { COLOURS, Plot, css, look } from "./plot.js";
+import { COLOURS, Plot, css, look, padded } from "./plot.js";
 import { AXES, STATES, number, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
@@ -136,6 +136,29 @@ export function innovationPlot(sensor, points, span) {
       bands: () => [{ series: [2, 1], fill: css("--band-95") }],
       readout: (data, at) => (data[1][at] === null ? "no sample used" : `${number(data[1][at])} to ${number(data[2][at])} ${unit(sensor.unit)}`),
       marks: () => [{ y: 0, text: "" }],
+    },
+    points,
+    span,
+  );
+}
+
+/**
+ * Creates the plot of the samples of a channel, between the minimum and maximum of each bucket.
+ * `shared(range)` returns the shown range for the range that the channel needs.
+ */
+export function waveformPlot(sensor, points, span, shared) {
+  const name = `waveform/${sensor.channel}`;
+  return new Plot(
+    {
+      title: sensor.channel,
+      file: `waveform-${sensor.channel}`,
+      unit: unit(sensor.unit),
+      names: [name],
+      rows: (columns) => columns.get(name),
+      series: () => [line(0, { width: 1, dash: [] }), line(0, { width: 1, dash: [] })],
+      bands: () => [{ series: [2, 1], fill: css("--band-50") }],
+      range: (u, least, largest) => shared(largest === null ? null : padded(u, least, largest)) ?? [0, 1],
+      readout: (data, at) => (data[1][at] === null ? "no sample" : `${number(data[1][at])} to ${number(data[2][at])} ${unit(sensor.unit)}`),
     },
     points,
     span,

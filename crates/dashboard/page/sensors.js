@@ -3,13 +3,18 @@
 import { h, keyed, setText } from "./dom.js";
 import { PlotGroup } from "./groups.js";
 import { NodeTable } from "./nodes.js";
-import { conditionPlot, nodePlot, outlierPlot } from "./plots.js";
+import { conditionPlot, nodePlot, outlierPlot, waveformPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, HEALTH, clockWords, compared, conditionWords, number, percent, time, unit } from "./words.js";
+import { Scale } from "./span.js";
+import { Spectra, spectrumPlot } from "./spectra.js";
+import { COLUMNS, HEALTH, clockWords, compared, conditionWords, levelWords, natural, number, percent, time, unit } from "./words.js";
 
 export class SensorsTab {
   key = "sensors";
   hasSpan = true;
+  hasWaveforms = true;
+  /** Shared ranges of the waveforms, and of the spectra, of the sensors with one unit. */
+  #scales = new Map();
 
   constructor(page) {
     this.page = page;
@@ -22,7 +27,13 @@ export class SensorsTab {
     const rate = `All channels have ${number(about.sampling_rate_hz)} samples per second.`;
     this.nodes = new NodeTable();
     this.conditionList = h("ul", { class: "sensor-list", id: "conditions" });
+    this.levels = h("tbody");
+    this.own = h("input", { type: "checkbox", onchange: () => this.#rescale() });
+    this.spectra = new Spectra(page.name);
+    this.spectra.band.onchange(() => this.groups.spectra.plots.forEach((plot) => plot.dirty()));
     this.groups = {
+      waveforms: new PlotGroup("waveforms", "Waveforms", "The samples, between the minimum and the maximum of each tenth of a second, or of a longer part in a long span. A gap has no samples. Sensors with the same unit share a scale, here and below."),
+      spectra: new PlotGroup("spectra", "Spectra", "Power spectral density of about the last minute (Welch, Hann windows), without the mean. The lines mark natural frequencies that are known."),
       nodes: new PlotGroup("nodes", "Distributed nodes", "A node far beyond the red dashed limit disagrees with the others."),
       outliers: new PlotGroup("outliers", "Outliers"),
       conditions: new PlotGroup("conditions", "Conditions", "Slow quantities that instruments measure beside the motion. Each value is a point."),
@@ -30,10 +41,17 @@ export class SensorsTab {
     this.groups.nodes.holder.before(this.nodes.element);
     this.groups.conditions.holder.before(this.conditionList);
     for (const condition of about.conditions) this.groups.conditions.add(condition.name, () => conditionPlot(condition, page.points, page.span));
+    const levelHeads = h("tr", {}, COLUMNS.levels.map((text) => h("th", { scope: "col" }, text)));
+    const levelScroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Samples of the last minute" };
+    const scale = h("label", { class: "check" }, this.own, "each plot with its own scale");
+    const levelText = "RMS and peak are differences from the mean.";
+    this.groups.waveforms.holder.before(scale);
+    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, "Samples of the last minute"), h("p", { class: "group-text" }, levelText), h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
     this.element = h(
       "div",
       {},
       h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, "Sensors"), this.search.element), h("p", { class: "group-text" }, rate), h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))),
+      this.samples,
       Object.values(this.groups).map(({ element }) => element),
     );
   }
@@ -42,9 +60,19 @@ export class SensorsTab {
     return Object.values(this.groups).flatMap((group) => group.plots);
   }
 
+  /** Names of all series of the tab, for the export. The spectra have a file each. */
+  get names() {
+    const { spectra, ...series } = this.groups;
+    return [...new Set(Object.values(series).flatMap(({ plots }) => plots.flatMap(({ plot }) => plot.names)))];
+  }
+
   /** Creates plots for new series. */
-  discover({ outliers, nodes }) {
+  discover({ outliers, nodes, sensors }) {
     const { points, span } = this.page;
+    for (const { channel, level } of sensors) {
+      const sensor = this.sensors.get(channel);
+      if (level && sensor) this.groups.waveforms.add(channel, () => waveformPlot(sensor, points, span, this.#shared("waveform", sensor)));
+    }
     for (const channel of Object.keys(outliers)) this.groups.outliers.add(channel, () => outlierPlot(channel, points, span));
     if (Object.keys(nodes).length === 0) return;
     this.groups.nodes.add("all", () => nodePlot(this.#nodeNames(), points, span));
@@ -64,6 +92,69 @@ export class SensorsTab {
       return { element: h("tr", {}, cells), cells };
     };
     keyed(this.rows, found, (sensor) => sensor.channel, make, (part, sensor) => this.#fill(part, sensor, outliers[sensor.channel], isReported));
+    this.#showLevels(found);
+    const names = new Set(found.map(({ channel }) => channel));
+    for (const group of [this.groups.waveforms, this.groups.spectra]) group.show(names);
+    this.own.checked = !this.page.scale.isCommon;
+  }
+
+  /** Fetches the spectra again, as after a lost connection. */
+  restart() {
+    this.#fetchSpectra();
+  }
+
+  /** Fetches the newest spectra, and draws again what shares a scale that has changed. */
+  draw() {
+    this.#fetchSpectra();
+    for (const [name, scale] of this.#scales) {
+      if (!scale.hasChanged) continue;
+      scale.hasChanged = false;
+      this.groups[name.startsWith("waveform") ? "waveforms" : "spectra"].plots.forEach((plot) => plot.dirty());
+    }
+  }
+
+  async #fetchSpectra() {
+    const asked = this.spectra.fetch();
+    if (asked === this.asked) return;
+    this.asked = asked;
+    if (!(await asked)) return;
+    const modes = () => (this.page.standing().modes ?? []).map(({ mode, estimate, declared_hz: declared }) => ({ name: mode, frequency: estimate?.frequency_hz ?? declared }));
+    for (const channel of this.spectra.channels) {
+      const sensor = this.sensors.get(channel);
+      if (sensor) this.groups.spectra.add(channel, () => spectrumPlot(sensor, this.spectra, this.#shared("spectrum", sensor), modes));
+    }
+    this.groups.spectra.plots.forEach((plot) => plot.dirty());
+  }
+
+  /** Returns how a plot of a sensor shares its range with the sensors of the same unit. */
+  #shared(kind, sensor) {
+    const key = `${kind} ${sensor.unit}`;
+    if (!this.#scales.has(key)) this.#scales.set(key, new Scale());
+    return (range) => (this.page.scale.isCommon ? this.#scales.get(key).of(sensor.channel, range) : range);
+  }
+
+  #rescale() {
+    this.page.scale.isCommon = !this.own.checked;
+    this.page.scale.hasChanged = true;
+    this.page.changed();
+  }
+
+  #showLevels(sensors) {
+    this.samples.hidden = !sensors.some(({ level }) => level) && this.groups.waveforms.plots.length === 0;
+    const make = () => {
+      const cells = COLUMNS.levels.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head, class: column > 1 && column < COLUMNS.levels.length - 1 ? "number" : null })));
+      return { element: h("tr", {}, cells), cells };
+    };
+    const sorted = sensors.toSorted((a, b) => natural(a.channel, b.channel));
+    keyed(this.levels, sorted, (sensor) => sensor.channel, make, ({ element, cells }, { channel, health, level }) => {
+      const { sign, word, level: attention } = HEALTH[health];
+      element.dataset.level = attention;
+      const texts = [channel, `${sign} ${word}`, ...levelWords(level, this.sensors.get(channel)?.unit ?? "")];
+      texts.forEach((text, column) => {
+        setText(cells[column], text);
+        cells[column].classList.toggle("is-none", text === "–");
+      });
+    });
   }
 
   #fill({ element, cells }, sensor, outlier, isReported) {

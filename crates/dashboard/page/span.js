@@ -75,7 +75,7 @@ export class Span {
   }
 }
 
-/** The range of the y axis that the plots of all stiffness parameters share. */
+/** The range of the y axis that several plots share. */
 export class Scale {
   #ranges = new Map();
   /** Whether the plots share one range. Otherwise each has its own. */
@@ -83,11 +83,11 @@ export class Scale {
   /** Whether the shared range has changed since the plots were drawn. */
   hasChanged = false;
 
-  /** Records the range that a plot needs, and returns the range that it shows. */
+  /** Records the range that a plot needs (null without data), and returns the range that it shows. */
   of(name, own) {
     if (!this.isCommon) return own;
     const before = this.shared;
-    this.#ranges.set(name, own);
+    if (own !== null) this.#ranges.set(name, own);
     const now = this.shared;
     this.hasChanged ||= before === null || before[0] !== now[0] || before[1] !== now[1];
     return now;

@@ -57,6 +57,7 @@ export class StructurePage {
 
   close() {
     this.#isOpen = false;
+    this.connection.want(false);
     this.#leave.forEach((leave) => leave());
     clearInterval(this.timer);
     this.scheme.removeEventListener("change", this.recolour);
@@ -132,6 +133,8 @@ export class StructurePage {
     this.#current.plots.forEach((plot) => plot.hide());
     this.points.clear();
     this.tab = key;
+    // Before the plots fetch the past, so that nothing is missing between both.
+    this.connection.want(Boolean(this.#current.hasWaveforms));
     this.bar.show(key);
     this.ranges.element.hidden = !this.#current.hasSpan;
     this.#current.plots.forEach((plot) => plot.show());

@@ -23,6 +23,7 @@ export const TABS = { now: "Now", parameters: "Parameters", lasting: "Lasting ch
 export const COLUMNS = {
   parts: ["Part", "State", "Estimate", "95 % interval", "Probability of loss"],
   sensors: ["Sensor", "Quantity", "Node", "State", "Last sample used", "Compared with the others", "Probability of a fault", "Sampling instant", "Clock", "Rejected"],
+  levels: ["Sensor", "State", "Samples per second", "Mean", "RMS", "Peak", "Last sample"],
   events: ["Time", "About", "What happened", ""],
   services: ["Service", "State", "Lag", "Items processed", "Dropped or corrected"],
   delays: ["Loss of stiffness", "Found after (median)", "Found within 30 days"],
@@ -222,6 +223,13 @@ export function clockWords(clock, isReported) {
   const difference = clock.difference_s ?? 0;
   if (!difference) return { offset, clock: "✓ agrees" };
   return { offset: "–", clock: `▲ ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? "behind" : "ahead"}` };
+}
+
+/** Returns the samples of the last minute of a sensor, in the columns of their table. */
+export function levelWords(level, of) {
+  if (!level) return ["–", "–", "–", "–", "–"];
+  const values = [level.mean, level.rms, level.peak].map((value) => `${number(value)} ${unit(of)}`);
+  return [number(level.rate_hz), ...values, `${number(level.last)} ${unit(of)}, ${time(level.last_s)}`];
 }
 
 /** Returns the level, sign and words of a condition, such as a temperature. */

@@ -58,6 +58,11 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             get(read_history),
         ),
         (
+            "/api/structures/{structure}/spectra",
+            Method::GET,
+            get(spectra),
+        ),
+        (
             "/api/structures/{structure}/judgements/{quantity}/course",
             Method::GET,
             get(read_course),
@@ -255,6 +260,12 @@ async fn structure(State(server): Shared, Path(name): Path<String>) -> Result<Re
     let store = find(&server, &name)?;
     Ok(Json(json!({"about": store.about, "overview": overview(&store), "standing": Standing::of(&store)}))
         .into_response())
+}
+
+async fn spectra(State(server): Shared, Path(name): Path<String>) -> Result<Response, Mistake> {
+    let store = find(&server, &name)?;
+    let nodes: Vec<_> = store.spectra.values().collect();
+    Ok(Json(json!({"nodes": nodes})).into_response())
 }
 
 async fn read_history(

@@ -96,7 +96,7 @@ pub(crate) struct Earlier {
 }
 
 impl Request {
-    /// Checks a request. Without names, it covers all stored series.
+    /// Checks a request. Without names, it covers all stored series except waveforms.
     pub(crate) fn new(asked: &Asked, store: &Store) -> Result<Self, Refused> {
         let refuse = |what: String, allowed: &str| {
             Err(Refused {
@@ -131,7 +131,12 @@ impl Request {
             }
         }
         if series.is_empty() {
-            series = store.series_names().cloned().collect();
+            // Waveforms are by far the largest part, and only their own names request them.
+            let names = store.series_names();
+            series = names
+                .filter(|name| name.kind != Kind::Waveform)
+                .cloned()
+                .collect();
         }
         if series.len() > MOST_SERIES {
             return refuse(
@@ -283,7 +288,7 @@ impl Span {
                 // the history does not store the other columns
                 Kind::Outlier | Kind::Node => vec![rows.largest[row]],
                 Kind::Class | Kind::Condition => vec![rows.mean[row]],
-                Kind::Innovation | Kind::Consistency => Vec::new(),
+                Kind::Innovation | Kind::Consistency | Kind::Waveform => Vec::new(),
             };
             (nearest_ns(rows.time_s[row]), values)
         };

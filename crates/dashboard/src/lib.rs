@@ -27,7 +27,8 @@
 //! Types: `topic`, `series` (bounded data over time), `about` (data from the structure file).
 //!
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
-//! and `overview` (what needs attention, and why), `frequencies` (the same without a model), `conditions` (temperatures and the like), `view`
+//! and `overview` (what needs attention, and why), `frequencies` (the same without a model), `levels`
+//! (samples of the last minute), `conditions` (temperatures and the like), `view`
 //! (data for the page), `history` (spans of time), `judgements` (years of a judged quantity).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
@@ -52,6 +53,7 @@ mod store;
 
 mod conditions;
 mod frequencies;
+mod levels;
 mod overview;
 mod sensors;
 mod view;

@@ -8,8 +8,10 @@ use crate::gate::SessionEnd;
 use crate::history::columns;
 use crate::server::{Server, now_s};
 use crate::store::Store;
+use crate::topic::Kind;
 use crate::view::Standing;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -48,6 +50,7 @@ pub(crate) async fn serve(
     let mut client = Client {
         ticks: 0,
         structure,
+        wish: Wish::default(),
         read: BTreeMap::new(),
         last_standing: String::new(),
     };
@@ -62,7 +65,8 @@ pub(crate) async fn serve(
             }
             incoming = socket.recv() => match incoming {
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
-                Some(Ok(_)) => {} // the server ignores messages from clients
+                Some(Ok(Message::Text(text))) => client.ask(&text),
+                Some(Ok(_)) => {} // pings, and messages without a meaning
             },
             _ = tick.tick() => for text in client.messages(&server) {
                 let sent = tokio::time::timeout(SEND_WITHIN, socket.send(Message::text(text))).await;
@@ -74,16 +78,31 @@ pub(crate) async fn serve(
     }
 }
 
+/// What a client wants in addition. Waveforms are large, and few views show them.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wish {
+    waveforms: bool,
+}
+
 /// State of a client: the data already sent.
 #[derive(Debug)]
 struct Client {
     ticks: u32,
     structure: Option<String>,
+    wish: Wish,
     read: BTreeMap<crate::topic::SeriesName, u64>,
     last_standing: String,
 }
 
 impl Client {
+    /// Takes a message of the client. One without a meaning is ignored.
+    fn ask(&mut self, text: &str) {
+        if let Ok(wish) = serde_json::from_str(text) {
+            self.wish = wish;
+        }
+    }
+
     /// Returns the messages of this tick.
     fn messages(&mut self, server: &Server) -> Vec<String> {
         let mut messages = Vec::new();
@@ -104,7 +123,8 @@ impl Client {
                     self.last_standing = standing;
                 }
             }
-            let news = store.news(&mut self.read, MOST_POINTS);
+            let wants = |kind| kind != Kind::Waveform || self.wish.waveforms;
+            let news = store.news(&mut self.read, MOST_POINTS, wants);
             // The client fetches earlier points from the history interface.
             if !is_first && !news.is_empty() {
                 messages.push(points(news).to_string());

@@ -88,6 +88,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/shapes.js", SCRIPT, "../page/shapes.js"),
     asset!("/smalls.js", SCRIPT, "../page/smalls.js"),
     asset!("/sparklines.js", SCRIPT, "../page/sparklines.js"),
+    asset!("/spectra.js", SCRIPT, "../page/spectra.js"),
     asset!("/tabs.js", SCRIPT, "../page/tabs.js"),
     asset!("/time.js", SCRIPT, "../page/time.js"),
     asset!("/year.js", SCRIPT, "../page/year.js"),

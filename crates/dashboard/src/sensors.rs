@@ -1,5 +1,6 @@
 //! The health of each sensor, derived from all messages about it.
 
+use crate::levels::Level;
 use crate::store::{ALL_CHANNELS, Store};
 use crate::topic::{Kind, SeriesName};
 use serde::Serialize;
@@ -67,6 +68,8 @@ pub(crate) struct SensorState<'s> {
     pub(crate) clock: Option<NodeClock>,
     /// Measurement time of its last used sample (s since the Unix epoch, UTC).
     pub(crate) last_used_s: Option<f64>,
+    /// Its samples of the last minute. `None` without samples.
+    pub(crate) level: Option<Level>,
 }
 
 /// Returns the state of all channels in frame order.
@@ -82,6 +85,7 @@ pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState<'_>> {
             .used_ns
             .get(sensor.channel.as_str())
             .map(|time_ns| *time_ns as f64 / 1e9),
+        level: store.levels.of(sensor.channel.as_str()),
     };
     sensors.map(state).collect()
 }

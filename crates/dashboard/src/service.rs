@@ -36,6 +36,8 @@ const NEEDS: Needs = Needs {
         T::Noise,
         T::Outliers,
         T::SensorHealth,
+        T::Waveforms,
+        T::Spectra,
         T::Conditions,
         T::Judgements,
         T::Modes,

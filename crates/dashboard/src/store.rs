@@ -3,11 +3,12 @@
 
 use crate::about::About;
 use crate::innovations::{Innovations, Interval};
+use crate::levels::Levels;
 use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, ChannelState, ConditionDisplay, Event, EventKind,
-    HistoryLog, ModeDisplay, ModelClassDisplay, Phase,
+    HistoryLog, ModeDisplay, ModelClassDisplay, Name, Phase, SpectrumDisplay, WaveformDisplay,
 };
 use spandrel_listener::{AlertChange, Input, STALE_AFTER, StructureState};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -19,6 +20,9 @@ const EVENTS_KEPT: usize = 200;
 /// Maximum number of model classes whose plausibility is stored over time. Further classes are only
 /// shown at their current value.
 const MOST_CLASSES: usize = 64;
+/// Number of points that a reader receives again when it begins to want a series: 20 s of a
+/// waveform, or one second at 20 times real time.
+const OVERLAP: u64 = 200;
 /// Name of series that concern all channels together.
 pub(crate) const ALL_CHANNELS: &str = "all";
 
@@ -38,6 +42,10 @@ pub(crate) struct Store {
     pub(crate) excluded: BTreeSet<String>,
     /// Measurement time (ns) at which each channel was last used in live data.
     pub(crate) used_ns: BTreeMap<String, i64>,
+    /// Samples of the last minute of each channel.
+    pub(crate) levels: Levels,
+    /// Newest spectra of each node.
+    pub(crate) spectra: BTreeMap<Name, SpectrumDisplay>,
     innovations: Innovations,
     series: BTreeMap<SeriesName, Series>,
 }
@@ -54,6 +62,8 @@ impl Store {
             events: VecDeque::new(),
             excluded: BTreeSet::new(),
             used_ns: BTreeMap::new(),
+            levels: Levels::default(),
+            spectra: BTreeMap::new(),
             series: BTreeMap::new(),
         }
     }
@@ -80,6 +90,9 @@ impl Store {
                 self.note_used_channels(&display);
                 self.state.handle(Input::Mode(display), &mut Vec::new());
             }
+            Input::Spectrum(display) => {
+                self.spectra.insert(display.node.clone(), display);
+            }
             input => {
                 let mut changes = Vec::new();
                 self.state.handle(input, &mut changes);
@@ -102,6 +115,8 @@ impl Store {
             Input::Noise(m) => self.has_noise(m.name.as_str()),
             Input::Outlier(m) => self.has_channel(m.channel.as_str()),
             Input::SensorHealth(m) => self.has_node(m.node.as_str()),
+            Input::Waveform(m) => self.has_node(m.node.as_str()),
+            Input::Spectrum(m) => self.has_node(m.node.as_str()),
             Input::Node(m) => self.has_node(m.node.as_str()),
             Input::Condition(m) | Input::StandingCondition(m, _) => self.has_condition(m),
             Input::Judgement(m) => self.has_judged(m.quantity.as_str()),
@@ -144,6 +159,7 @@ impl Store {
                     self.push(Kind::Mode, m.mode.as_str(), m.time_ns, &values);
                 }
             }
+            Input::Waveform(m) => self.plot_waveforms(m),
             Input::Classes(m) => self.plot_classes(m),
             Input::Node(m) => {
                 let values = [m.distance, m.distance_limit].map(|value| value.unwrap_or(f64::NAN));
@@ -216,6 +232,23 @@ impl Store {
                     display.time_ns,
                     &[class.plausibility],
                 );
+            }
+        }
+    }
+
+    fn plot_waveforms(&mut self, display: &WaveformDisplay) {
+        for waveform in &display.channels {
+            let channel = waveform.channel.as_str();
+            if !self.has_channel(channel) {
+                continue;
+            }
+            self.levels.take(display, waveform);
+            for (bucket, ends) in waveform.extremes.iter().enumerate() {
+                // A bucket is shown at its middle.
+                let middle_s = (bucket as f64 + 0.5) * display.bucket_s;
+                let time_ns = display.time_ns.saturating_add((1e9 * middle_s) as i64);
+                let ends = ends.map_or([f64::NAN; 2], |ends| ends.map(f64::from));
+                self.push(Kind::Waveform, channel, time_ns, &ends);
             }
         }
     }
@@ -379,7 +412,7 @@ impl Store {
         match name.kind {
             Kind::Parameter | Kind::Loss => self.has_parameter(of),
             Kind::Noise => self.has_noise(of),
-            Kind::Innovation | Kind::Outlier => self.has_channel(of),
+            Kind::Innovation | Kind::Outlier | Kind::Waveform => self.has_channel(of),
             Kind::Consistency => of == ALL_CHANNELS,
             Kind::Class => self.series.contains_key(name),
             Kind::Node => self.has_node(of),
@@ -397,16 +430,21 @@ impl Store {
     }
 
     /// Returns the new points of each series since a reader's last call, and advances the reader's
-    /// positions.
+    /// positions. Series that the reader does not want only advance.
     pub(crate) fn news(
         &self,
         read: &mut BTreeMap<SeriesName, u64>,
         most: usize,
+        wants: impl Fn(Kind) -> bool,
     ) -> Vec<(SeriesName, u64, Table)> {
         let mut news = Vec::new();
         for (name, series) in &self.series {
             let place = read.entry(name.clone()).or_default();
-            if *place < series.pushed() {
+            if !wants(name.kind) {
+                // A reader that begins to want them has fetched the points before, but perhaps not
+                // the very last.
+                *place = series.pushed().saturating_sub(OVERLAP);
+            } else if *place < series.pushed() {
                 news.push((
                     name.clone(),
                     series.generation(),

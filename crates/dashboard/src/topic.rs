@@ -30,11 +30,13 @@ pub(crate) enum Kind {
     Condition,
     /// The natural frequency of a declared mode, and its standard deviation (Hz).
     Mode,
+    /// Samples of a channel: minimum and maximum of a bucket (unit of the channel).
+    Waveform,
 }
 
 impl Kind {
     /// All kinds.
-    pub(crate) const ALL: [Self; 10] = [
+    pub(crate) const ALL: [Self; 11] = [
         Self::Parameter,
         Self::Loss,
         Self::Noise,
@@ -45,6 +47,7 @@ impl Kind {
         Self::Node,
         Self::Condition,
         Self::Mode,
+        Self::Waveform,
     ];
 
     /// Returns the word for the kind in requests.
@@ -60,6 +63,7 @@ impl Kind {
             Self::Node => "node",
             Self::Condition => "condition",
             Self::Mode => "mode",
+            Self::Waveform => "waveform",
         }
     }
 
@@ -68,7 +72,7 @@ impl Kind {
         match self {
             Self::Parameter | Self::Noise => &["mean", "std"],
             Self::Loss => &["loss", "low", "high", "probability_of_loss"],
-            Self::Innovation => &["least", "largest"],
+            Self::Innovation | Self::Waveform => &["least", "largest"],
             Self::Consistency => &["normalised_innovation_squared"],
             Self::Outlier => &["recent_share", "flagged"],
             Self::Class => &["plausibility"],
@@ -88,7 +92,7 @@ impl Kind {
                 Combine::Last,
                 Combine::Largest,
             ],
-            Self::Innovation => &[Combine::Least, Combine::Largest],
+            Self::Innovation | Self::Waveform => &[Combine::Least, Combine::Largest],
             Self::Consistency | Self::Class | Self::Condition => &[Combine::Last],
             Self::Outlier => &[Combine::Largest, Combine::Sum],
             Self::Node => &[Combine::Largest, Combine::Last],

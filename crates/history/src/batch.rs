@@ -247,6 +247,8 @@ impl Collector {
             Input::Now(_)
             | Input::Fit(_)
             | Input::SensorHealth(_)
+            | Input::Waveform(_)
+            | Input::Spectrum(_)
             | Input::StandingCondition(..)
             | Input::Judgement(_)
             | Input::Monitoring(_)

@@ -32,6 +32,8 @@
 //! - [`ClockVote`]: decides by majority which clocks are wrong; its clock is an argument
 //! - [`IngestService`]: connects them to the bus
 //!
+//! Beside the frames, ingest publishes the extremes and the spectra of the samples for display.
+//!
 //! Ingest does not filter. A frame contains a sample, interpolated at the time of the frame if the
 //! node samples at another instant, or nothing.
 
@@ -48,7 +50,11 @@ mod lateness;
 mod lockout_watch;
 mod timekeeping;
 
+mod spectra;
+mod waveforms;
+
 mod disk;
+mod displays;
 mod error;
 mod recorder;
 mod shell;

@@ -16,12 +16,14 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
 use crate::align::{Alignment, AlignmentInput, NodePlace};
+use crate::displays::Displays;
 use crate::drop_watch::DropWatch;
 use crate::error::IngestError;
 use crate::layout::Layout;
 use crate::lockout_watch::LockoutWatch;
 use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
 use crate::timekeeping::Timekeeping;
+use crate::waveforms::NodeChannels;
 
 mod clocks;
 
@@ -112,6 +114,7 @@ pub struct IngestService {
     ended: Vec<bool>,
     tokens: LiveWatch,
     frames: NumberedPublisher<FrameBlock>,
+    displays: Displays,
     progress: ProgressPublisher,
     status: StatusPublisher,
     drop_watch: DropWatch,
@@ -190,6 +193,7 @@ impl IngestService {
             let IngestSettings { waiting, recording } = settings;
             let ServiceInstance { bus, id, clock } = instance;
             let epoch = clock.epoch();
+            let shown = NodeChannels::of(&layout, &channels)?;
             let (recorder, past) = match &recording {
                 Some(recording) => {
                     let structure = keys.structure().as_str();
@@ -249,6 +253,8 @@ impl IngestService {
                 recent: FRAMES_KEPT,
             });
             let frames = bus.publish_archived(stream, older).await?;
+            let rate_hz = layout.sampling_rate_hz();
+            let displays = Displays::start(bus, &keys, shown, rate_hz).await?;
             let mut nodes = Vec::new();
             for (position, node) in layout.nodes().iter().enumerate() {
                 let start = match places.get(position) {
@@ -292,6 +298,7 @@ impl IngestService {
                     .collect(),
                 tokens: bus.watch_live(keys.all_live(Service::Sensor)).await?,
                 frames,
+                displays,
                 progress,
                 status: instance.publish_status(Service::Ingest, &keys).await?,
                 drop_watch: DropWatch::new(
@@ -370,6 +377,7 @@ impl IngestService {
                 "ingest stopped"
             );
             self.token.withdraw().await?;
+            self.displays.close().await;
             match self.recorder {
                 Some(recorder) => recorder.close().await,
                 None => Ok(()),
@@ -431,6 +439,7 @@ impl IngestService {
             if is_recorded {
                 self.frames.release(epoch, block.end());
             }
+            self.displays.offer(&block);
             self.frames.put(block).await?;
             self.progress
                 .set(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
@@ -577,6 +586,9 @@ impl IngestService {
         if self.frames.refused_queries() > 0 {
             let refused = self.frames.refused_queries();
             drops.insert("refused-queries".to_owned(), refused);
+        }
+        if self.displays.dropped() > 0 {
+            drops.insert("shed-frames".to_owned(), self.displays.dropped());
         }
         let report = Report {
             clocks: self.node_clocks(),

@@ -60,6 +60,7 @@ async fn start_ingest_of(
     nodes: &[&str],
     waiting: FrameWait,
 ) -> tokio::task::JoinHandle<()> {
+    let channels = nodes.iter().map(|node| format!("{node}-x")).collect();
     let nodes = nodes.iter().map(|node| NodeLayout {
         name: name(node),
         ranges: vec![1e9],
@@ -73,7 +74,7 @@ async fn start_ingest_of(
         waiting,
         recording: None,
     };
-    let service = IngestService::start_with(layout, Vec::new(), &instance, keys(), settings)
+    let service = IngestService::start_with(layout, channels, &instance, keys(), settings)
         .await
         .unwrap();
     tokio::spawn(async move { service.run(Box::pin(pending())).await.unwrap() })

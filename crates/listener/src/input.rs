@@ -4,7 +4,7 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, ConditionDisplay, EstimateBlock, Event, FitDisplay, HistoryLog,
     JudgementDisplay, KeyFamily as K, LossDisplay, ModeDisplay, ModelClassDisplay,
     MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress,
-    SensorHealthDisplay, Service, Status, Topic, parse_key,
+    SensorHealthDisplay, Service, SpectrumDisplay, Status, Topic, WaveformDisplay, parse_key,
 };
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -24,6 +24,10 @@ pub enum Input {
     Outlier(OutlierDisplay),
     /// Comparison of the sensors of a node with the others.
     SensorHealth(SensorHealthDisplay),
+    /// The reduced samples of a node.
+    Waveform(WaveformDisplay),
+    /// The spectra of a node.
+    Spectrum(SpectrumDisplay),
     /// A value of a condition.
     Condition(ConditionDisplay),
     /// The latest value of a condition, and its age when the query was answered.
@@ -120,6 +124,8 @@ impl Input {
             Self::Noise(m) => (&m.structure, Topic::new(K::Noise, &m.name)),
             Self::Outlier(m) => (&m.structure, Topic::new(K::Outlier, &m.channel)),
             Self::SensorHealth(m) => (&m.structure, Topic::new(K::SensorHealth, &m.node)),
+            Self::Waveform(m) => (&m.structure, Topic::new(K::Waveform, &m.node)),
+            Self::Spectrum(m) => (&m.structure, Topic::new(K::Spectrum, &m.node)),
             Self::Condition(m) | Self::StandingCondition(m, _) => {
                 (&m.structure, Topic::new(K::Condition, &m.name))
             }

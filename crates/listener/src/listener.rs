@@ -41,6 +41,10 @@ pub enum DisplayTopic {
     Outliers,
     /// [`Input::SensorHealth`]
     SensorHealth,
+    /// [`Input::Waveform`]
+    Waveforms,
+    /// [`Input::Spectrum`]
+    Spectra,
     /// [`Input::Condition`]
     Conditions,
     /// [`Input::Judgement`]
@@ -267,6 +271,8 @@ impl Place {
                 self.queue(K::SensorHealth, |_, m| Input::SensorHealth(m))
                     .await
             }
+            T::Waveforms => self.queue(K::Waveform, |_, m| Input::Waveform(m)).await,
+            T::Spectra => self.queue(K::Spectrum, |_, m| Input::Spectrum(m)).await,
             T::Conditions => self.queue(K::Condition, |_, m| Input::Condition(m)).await,
             T::Judgements => self.queue(K::Judgement, |_, m| Input::Judgement(m)).await,
             T::Modes => self.queue(K::Mode, |_, m| Input::Mode(Box::new(m))).await,

@@ -211,7 +211,9 @@ impl StructureState {
             Input::Present(present) => self.take_present(present),
             Input::Misplaced => self.left_out += 1,
             // They concern the past or single frames.
-            Input::Estimates(..)
+            Input::Waveform(_)
+            | Input::Spectrum(_)
+            | Input::Estimates(..)
             | Input::LoggedAlert(_)
             | Input::Acknowledgement(_)
             | Input::Event(_)

@@ -138,6 +138,69 @@ class SensorHealth:
     channels: Tuple[ChannelHealth, ...]
 
 
+@dataclass(frozen=True)
+class SampleLevel:
+    """Mean, root mean square about the mean, and last sample, in the unit of the channel."""
+
+    mean: float
+    rms: float
+    last: float
+
+
+@dataclass(frozen=True)
+class ChannelWaveform:
+    """The samples of one channel in about one second.
+
+    `extremes` contains the minimum and maximum of each bucket, or None if it has no samples.
+    """
+
+    channel: str
+    missing: int
+    level: Optional[SampleLevel]
+    extremes: Tuple[Optional[Tuple[float, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """The samples of a node in about one second, reduced to the extremes of short buckets."""
+
+    TYPE: ClassVar[str] = "waveform"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "sensor/{node}/waveform"
+
+    structure: str
+    node: str
+    time_ns: int
+    frames: int
+    bucket_s: float
+    channels: Tuple[ChannelWaveform, ...]
+
+
+@dataclass(frozen=True)
+class ChannelSpectrum:
+    """One-sided power spectral density of one channel, in its squared unit per Hz."""
+
+    channel: str
+    windows: int
+    density: Tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The spectra of the channels of a node in about the last minute."""
+
+    TYPE: ClassVar[str] = "spectrum"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "sensor/{node}/spectrum"
+
+    structure: str
+    node: str
+    time_ns: int
+    window_s: float
+    frequencies_hz: Tuple[float, ...]
+    channels: Tuple[ChannelSpectrum, ...]
+
+
 #: Units of conditions.
 CONDITION_UNITS: Tuple[str, ...] = (
     "degC",
@@ -518,6 +581,8 @@ Message = Union[
     Noise,
     Outlier,
     SensorHealth,
+    Waveform,
+    Spectrum,
     Condition,
     Judgement,
     Mode,
@@ -537,6 +602,8 @@ MESSAGES: Tuple[Type[Any], ...] = (
     Noise,
     Outlier,
     SensorHealth,
+    Waveform,
+    Spectrum,
     Condition,
     Judgement,
     Mode,

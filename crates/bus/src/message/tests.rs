@@ -310,6 +310,8 @@ proptest! {
         total::<NoiseDisplay>(&bytes)?;
         total::<OutlierDisplay>(&bytes)?;
         total::<SensorHealthDisplay>(&bytes)?;
+        total::<WaveformDisplay>(&bytes)?;
+        total::<SpectrumDisplay>(&bytes)?;
         total::<ModelClassDisplay>(&bytes)?;
         total::<FitDisplay>(&bytes)?;
         total::<Event>(&bytes)?;

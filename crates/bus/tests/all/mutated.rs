@@ -11,7 +11,8 @@ use spandrel_bus::{
     LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message,
     ModeDisplay, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage,
     NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel,
-    SensorHealthDisplay, StateMessage, Status, StreamState, ToldMotion, ToldSamples,
+    SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, StreamState, ToldMotion,
+    ToldSamples, WaveformDisplay,
 };
 
 use std::path::Path;
@@ -319,6 +320,15 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"damping\":0.01,\"damping_std\":0.001,\"shape\":[{\"channel\":\"span-1\",\"value\":[1.0,0.0],\"std\":0.0}],\
              \"amplitude\":0.02},\"presence\":1.0,\"machine\":false,\"declared_hz\":3.9}",
         ),
+        text::<WaveformDisplay>(
+            "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"frames\":100,\"bucket_s\":0.5,\"channels\":[\
+             {\"channel\":\"roof-x\",\"missing\":50,\"level\":{\"mean\":0.25,\"rms\":0.5,\"last\":-0.125},\
+             \"extremes\":[[-1.5,0.75],null]}]}",
+        ),
+        text::<SpectrumDisplay>(
+            "{\"structure\":\"demo\",\"node\":\"roof\",\"time_ns\":5,\"window_s\":20.48,\"frequencies_hz\":[0.5,1.0],\
+             \"channels\":[{\"channel\":\"roof-x\",\"windows\":5,\"density\":[1e-6,0.0]}]}",
+        ),
     ]
 }
 
@@ -428,7 +438,7 @@ fn check(name: &str, bytes: &[u8], decode: Decode) {
 #[test]
 fn the_samples_cover_every_type_and_decode() {
     let messages = messages();
-    assert_eq!(messages.len(), 32);
+    assert_eq!(messages.len(), 34);
     for (name, bytes, decode) in messages {
         check(name, &bytes, decode);
     }
@@ -459,7 +469,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_give_an_error_or_a_valid_message(
-        which in 0usize..32,
+        which in 0usize..34,
         damages in proptest::collection::vec(damage(), 1..5),
     ) {
         let (name, mut bytes, decode) = messages().swap_remove(which);
@@ -468,7 +478,7 @@ proptest! {
     }
 
     #[test]
-    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..32, to in 0usize..32) {
+    fn messages_of_another_type_give_an_error_or_a_valid_message(from in 0usize..34, to in 0usize..34) {
         let messages = messages();
         let (name, _, decode) = messages[to];
         check(name, &messages[from].1, decode);

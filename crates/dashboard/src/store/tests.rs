@@ -1,5 +1,6 @@
 use super::*;
 use crate::testing::{alert, at, demo, demo_with_air, hear, mode, name};
+use spandrel_bus::{ChannelWaveform, SampleLevel};
 
 #[test]
 fn names_missing_in_the_structure_file_are_ignored() {
@@ -46,12 +47,63 @@ fn client_receives_each_point_once_and_many_points_combined() {
     let mut store = demo();
     let mut read = BTreeMap::new();
     (0..1_000).for_each(|time| hear(&mut store, "storey-1", time, 1.0, 0.0));
-    let news = store.news(&mut read, 200);
+    let news = store.news(&mut read, 200, |_| true);
     let points: Vec<usize> = news.iter().map(|(_, _, table)| table.len()).collect();
     assert_eq!(points, [200, 200], "the parameter and its loss");
-    assert!(store.news(&mut read, 200).is_empty());
+    assert!(store.news(&mut read, 200, |_| true).is_empty());
     hear(&mut store, "storey-1", 1_000, 1.0, 0.0);
-    assert_eq!(store.news(&mut read, 200)[0].2.len(), 1);
+    assert_eq!(store.news(&mut read, 200, |_| true)[0].2.len(), 1);
+}
+
+/// A message of the channel `floor-1` and of a channel that the structure file lacks.
+fn waveform(second: i64) -> Input {
+    let channel = |channel: &str| ChannelWaveform {
+        channel: name(channel),
+        missing: 10,
+        level: Some(SampleLevel {
+            mean: 0.0,
+            rms: 0.5,
+            last: 0.25,
+        }),
+        extremes: [vec![Some([-1.0, 1.0]); 9], vec![None]].concat(),
+    };
+    Input::Waveform(WaveformDisplay {
+        structure: name("demo"),
+        node: name("floor-1"),
+        time_ns: second * 1_000_000_000,
+        frames: 100,
+        bucket_s: 0.1,
+        channels: vec![channel("floor-1"), channel("floor-99")],
+    })
+}
+
+#[test]
+fn buckets_without_samples_are_gaps() {
+    let mut store = demo();
+    store.handle(waveform(3));
+    let names: Vec<String> = store.series_names().map(ToString::to_string).collect();
+    assert_eq!(names, ["waveform/floor-1"]);
+    let name = SeriesName::new(Kind::Waveform, "floor-1");
+    let table = store.series(&name).unwrap().span(0, i64::MAX, 100);
+    let times: Vec<i64> = table.times_ns().collect();
+    assert_eq!(times[..2], [3_050_000_000, 3_150_000_000]);
+    let largest: Vec<f64> = table.column(1).collect();
+    assert_eq!(largest[..9], [1.0; 9]);
+    assert!(largest[9].is_nan());
+    assert_eq!(store.levels.of("floor-1").unwrap().last, 0.25);
+}
+
+#[test]
+fn only_a_reader_that_wants_waveforms_receives_them() {
+    let mut store = demo();
+    let mut read = BTreeMap::new();
+    (0..60).for_each(|second| store.handle(waveform(second)));
+    let unwanted = store.news(&mut read, 200, |kind| kind != Kind::Waveform);
+    assert!(unwanted.is_empty());
+    // The last points again, because the reader may have fetched the past just before them.
+    let wanted = store.news(&mut read, 200, |_| true);
+    assert_eq!((wanted.len(), wanted[0].2.len()), (1, OVERLAP as usize));
+    assert!(store.news(&mut read, 200, |_| true).is_empty());
 }
 
 /// The service repeats its last message every few seconds.
@@ -62,7 +114,7 @@ fn a_repeated_mode_is_one_point() {
         store.handle(Input::Mode(Box::new(mode("bending", second))));
     }
     store.handle(Input::Mode(Box::new(mode("torsion", 600))));
-    let points = store.news(&mut BTreeMap::new(), 200);
+    let points = store.news(&mut BTreeMap::new(), 200, |_| true);
     let names: Vec<String> = points.iter().map(|(name, ..)| name.to_string()).collect();
     assert_eq!(names, ["mode/bending"]);
     let times: Vec<i64> = points[0].2.times_ns().collect();

@@ -1,0 +1,116 @@
+//! Waveforms and spectra of the sensors.
+
+use super::browser;
+use super::layout::demo;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn waveforms_and_spectra_of_the_sensors_are_shown() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&["--duration", "600"]);
+    browser.resize(1280, 1400).await;
+    browser
+        .open(&format!("{}#/structure/demo/sensors", demo.page))
+        .await;
+    let readout = |plot: &str| {
+        format!("document.querySelector('#plot-{plot}-floor-2 .readout')?.textContent ?? ''")
+    };
+    browser
+        .wait(
+            "the waveform",
+            &format!(
+                "document.querySelector('#plot-waveform-floor-2 canvas') && / · -[\\d.e-]+ to [\\d.e-]+ m\\/s²$/.test({})",
+                readout("waveform")
+            ),
+        )
+        .await;
+    let cell = |column: usize| {
+        format!(
+            "[...document.querySelectorAll('table.levels tbody tr')].find((row) => row.children[0].textContent === 'floor-2')?.children[{column}].textContent"
+        )
+    };
+    browser
+        .wait("the rate", &format!("{} === '100'", cell(2)))
+        .await;
+    browser
+        .wait(
+            "the RMS",
+            &format!("/^[\\d.e-]+ m\\/s²$/.test({})", cell(4)),
+        )
+        .await;
+    // The waveform goes on without a reload.
+    let before = browser.evaluate(&readout("waveform")).await;
+    browser
+        .wait(
+            "a later second",
+            &format!(
+                "{now}.slice(0, 10) > {before}.slice(0, 10)",
+                now = readout("waveform")
+            ),
+        )
+        .await;
+    // A plot is drawn when it is in the window.
+    browser
+        .wait(
+            "the plot of the spectrum",
+            "(document.querySelector('#plot-spectrum-floor-2')?.scrollIntoView(), document.querySelector('#plot-spectrum-floor-2 canvas'))",
+        )
+        .await;
+    browser
+        .wait(
+            "the spectrum",
+            &format!(
+                "/^[\\d.]+ Hz · [\\d.e-]+ \\(m\\/s²\\)²\\/Hz · mean of \\d+ windows? of 20.48 s$/.test({})",
+                readout("spectrum")
+            ),
+        )
+        .await;
+    for scheme in ["light", "dark"] {
+        browser.prefer(scheme).await;
+        browser.screenshot(&format!("waveforms-{scheme}")).await;
+    }
+    browser
+        .evaluate("document.querySelector('#group-waveforms input[type=checkbox]').click()")
+        .await;
+    browser
+        .wait("its own scale", "location.hash.includes('scale=own')")
+        .await;
+    browser.resize(390, 844).await;
+    browser
+        .evaluate("document.getElementById('group-waveforms').scrollIntoView()")
+        .await;
+    let wide = "document.documentElement.scrollWidth";
+    assert_eq!(browser.evaluate(wide).await, 390);
+    browser.screenshot("waveforms-phone").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// Waveforms are the largest part of the data, and few views show them.
+#[tokio::test(flavor = "multi_thread")]
+async fn waveforms_are_sent_only_on_request() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&["--duration", "600"]);
+    browser.open(&demo.page).await;
+    let sent = |wish: bool| {
+        format!(
+            "(async () => {{
+                const {{ Connection }} = await import('/connection.js');
+                const connection = new Connection();
+                const seen = new Set();
+                connection.on('points', ({{ series }}) => Object.keys(series).forEach((name) => seen.add(name.split('/')[0])));
+                connection.want({wish});
+                connection.listen('demo');
+                await new Promise((done) => setTimeout(done, 3000));
+                connection.listen(null);
+                return ['parameter', 'waveform'].map((kind) => seen.has(kind)).join();
+            }})()"
+        )
+    };
+    let shown = "[...document.querySelectorAll('.structures')].length > 0";
+    browser.wait("the structures", shown).await;
+    assert_eq!(browser.evaluate(&sent(false)).await, "true,false");
+    assert_eq!(browser.evaluate(&sent(true)).await, "true,true");
+}
