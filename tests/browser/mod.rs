@@ -8,14 +8,7 @@ mod conditions;
 mod lasting;
 mod layout;
 mod mistakes;
-<<<<<<< HEAD:tests/browser/mod.rs
-=======
-#[path = "../../../../tests/support/seasons.rs"]
-mod seasons;
-#[path = "../../../../tests/support/skip.rs"]
-mod skip;
 mod waveforms;
->>>>>>> waves:crates/spandrel/tests/browser/main.rs
 mod workspace;
 
 use crate::support::skip;
