@@ -505,14 +505,14 @@ mod tests {
             .map(|key| key.as_str().unwrap())
             .collect();
         let expected = [
-            "spandrel/*/acknowledge/*",
+            "spandrel/*/alert/*/acknowledge",
             "spandrel/*/annotation",
             "spandrel/*/condition/*",
             "spandrel/*/event",
             "spandrel/*/maintenance",
             "spandrel/*/sensor/*/samples",
-            "spandrel/*/status/dashboard",
-            "spandrel/*/status/feed",
+            "spandrel/*/status/dashboard/*",
+            "spandrel/*/status/feed/*",
         ];
         assert_eq!(put, BTreeSet::from(expected));
     }

@@ -151,8 +151,8 @@ pub struct Follower<B> {
     position: Option<Position>,
     /// Position in the former epoch, until the source confirms the present one.
     former: Option<Position>,
-    /// An epoch that the source has denied.
-    denied_epoch: Option<u64>,
+    /// Position in an epoch that the source has denied.
+    denied: Option<Position>,
     /// A run of the source that the present epoch or term excludes.
     excluded: Option<Excluded>,
     held: BTreeMap<u64, B>,
@@ -225,7 +225,7 @@ impl<B: Block> Follower<B> {
             term: 0,
             position,
             former: None,
-            denied_epoch: None,
+            denied: None,
             excluded: None,
             held: BTreeMap::new(),
             later: None,
@@ -274,8 +274,7 @@ impl<B: Block> Follower<B> {
         let epoch = block.header().epoch;
         let has_earlier_epoch = self.position.as_ref().is_some_and(|p| epoch < p.epoch);
         block.term() < self.term
-            || self.patience == Patience::Limited
-                && (has_earlier_epoch || self.denied_epoch == Some(epoch))
+            || self.patience == Patience::Limited && (has_earlier_epoch || self.has_denied(epoch))
     }
 
     /// Returns `true` if an excluded run has delivered long enough while the present one was silent.
@@ -304,7 +303,7 @@ impl<B: Block> Follower<B> {
             return true;
         }
         self.excluded = Some(run);
-        let count = match (term < self.term, self.denied_epoch == Some(epoch)) {
+        let count = match (term < self.term, self.has_denied(epoch)) {
             (true, _) => &mut self.counts.superseded_blocks,
             (false, true) => &mut self.counts.impossible_blocks,
             (false, false) if continues => &mut self.counts.locked_out_blocks,
@@ -324,7 +323,7 @@ impl<B: Block> Follower<B> {
             ..
         } = block.header().clone();
         self.term = block.term();
-        self.denied_epoch = None;
+        self.denied = None;
         self.has_answered();
         match &mut self.position {
             Some(position) if position.epoch == epoch => position.source = None,
@@ -470,10 +469,17 @@ impl<B: Block> Follower<B> {
             && former.is_some_and(|former| former.epoch == epoch)
     }
 
+    /// Returns `true` if the source has denied this epoch.
+    fn has_denied(&self, epoch: u64) -> bool {
+        self.denied
+            .as_ref()
+            .is_some_and(|denied| denied.epoch == epoch)
+    }
+
     /// Drops the present epoch, which the source has denied.
     fn return_to_the_former_epoch(&mut self, actions: &mut VecDeque<Action<B>>) {
         self.counts.impossible_blocks += 1;
-        self.denied_epoch = self.position.take().map(|position| position.epoch);
+        self.denied = self.position.take();
         self.position = self.former.take();
         self.held.clear();
         self.has_answered();
@@ -545,7 +551,15 @@ impl<B: Block> Follower<B> {
         }
         self.held.clear();
         self.has_answered();
-        let before = self.position.replace(Position::new(epoch, Some(source), 0));
+        // A source that had just started can deny an epoch and then enter it. Its first items have
+        // been delivered.
+        let next = match self.denied.take_if(|denied| denied.epoch == epoch) {
+            Some(denied) => denied.next,
+            None => 0,
+        };
+        let before = self
+            .position
+            .replace(Position::new(epoch, Some(source), next));
         if self.patience == Patience::Limited {
             // A reply must confirm the new epoch. Its blocks do not wait for that.
             self.former = self.former.take().or(before);

@@ -20,7 +20,7 @@ const MOST_STOREYS = 620;
 const EACH = 10;
 /** Smallest width of the storeys, and of the room on each side of them. */
 const LEAST_WIDTH = 90;
-const LEAST_SIDE = 70;
+const LEAST_SIDE = 90;
 /** Room above and below the storeys. */
 const ROOM = 42;
 const BELOW = 26;

@@ -239,7 +239,10 @@ export class Plot {
     const isNarrow = this.holder.clientWidth < 520;
     const { across } = this.plot;
     const distr = this.plot.isLogarithmic ? 3 : 1;
-    const axis = { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1 }, ticks: { stroke: css("--grid") }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
+    // uPlot otherwise draws nine lines for each decade.
+    const filter = (_, ticks) => (this.plot.isLogarithmic ? ticks.map((tick) => (isDecade(tick) ? tick : null)) : ticks);
+    const label = this.plot.isLogarithmic ? power : compact;
+    const axis = { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1, filter }, ticks: { stroke: css("--grid"), filter }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
     return {
       width: this.holder.clientWidth,
       height: this.#height,
@@ -250,9 +253,9 @@ export class Plot {
       scales: { x: { time: !across, distr }, y: { range: this.plot.range ?? padded, distr } },
       axes: [
         across
-          ? { ...axis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(compact), label: across, labelSize: 18 }
+          ? { ...axis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(label), label: across, labelSize: 18 }
           : { ...axis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
-        { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? compact(tick)) },
+        { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? label(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
       bands: this.plot.bands?.() ?? [],
@@ -382,6 +385,19 @@ function compact(tick) {
   if (tick === null) return null; // a tick of a logarithmic axis without a label
   const size = Math.abs(tick);
   return size !== 0 && (size < 1e-3 || size >= 1e5) ? tick.toExponential(1) : String(Number(tick.toPrecision(6)));
+}
+
+function isDecade(tick) {
+  return Math.abs(Math.log10(tick) - Math.round(Math.log10(tick))) < 1e-9;
+}
+
+/** Returns the label of a logarithmic axis: 0.01, 1, 10⁻⁶; none between the decades. */
+function power(tick) {
+  if (tick === null || !isDecade(tick)) return null;
+  const exponent = Math.round(Math.log10(tick));
+  if (Math.abs(exponent) <= 2) return compact(tick);
+  const digits = [...String(Math.abs(exponent))].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+  return `10${exponent < 0 ? "⁻" : ""}${digits.join("")}`;
 }
 
 function lastOf(data) {

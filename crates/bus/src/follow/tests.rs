@@ -849,6 +849,25 @@ fn epoch_that_the_source_denies_is_dropped() {
     assert_eq!(rig.follower.counts().impossible_blocks, 2);
 }
 
+// An identification that had just been restarted denied the epoch of its predecessor, then
+// identified it again. The reader received the first estimates twice.
+#[test]
+fn epoch_that_a_new_source_denies_before_it_enters_it_is_not_repeated() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.idle();
+    let reply = |rig: &mut Rig, answer| {
+        assert!(rig.fetch.take().is_some(), "nothing is asked");
+        rig.follower.answered(answer, &mut rig.actions);
+        rig.work();
+    };
+    reply(&mut rig, caught_up(0, 0));
+    rig.live(frames(1, 0, 2));
+    reply(&mut rig, caught_up(0, 0));
+    reply(&mut rig, Answer::Block(frames(1, 0, 4)));
+    rig.live(frames(1, 4, 1));
+    assert_eq!(delivered_items(&rig), [(1, 0), (1, 2), (1, 4)]);
+}
+
 #[test]
 fn epoch_that_the_source_confirms_is_read_at_once() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);
