@@ -41,7 +41,7 @@ pub(super) fn line_of(text: &str, piece: &str) -> usize {
         + 1
 }
 
-/// Returns the structure files in a folder and its subfolders.
+/// Returns the structure files with a model in a folder and its subfolders.
 fn structure_files(folder: &Path) -> Vec<PathBuf> {
     let (folders, files): (Vec<_>, Vec<_>) = std::fs::read_dir(folder)
         .unwrap()
@@ -56,7 +56,7 @@ fn structure_files(folder: &Path) -> Vec<PathBuf> {
         .filter(|file| {
             std::fs::read_to_string(file)
                 .unwrap()
-                .contains("[structure]")
+                .contains("[model]")
         })
         .chain(folders.iter().flat_map(|folder| structure_files(folder)))
         .collect()
