@@ -20,7 +20,7 @@ const MOST_STOREYS = 620;
 const EACH = 10;
 /** Smallest width of the storeys, and of the room on each side of them. */
 const LEAST_WIDTH = 90;
-const LEAST_SIDE = 90;
+const LEAST_SIDE = 70;
 /** Room above and below the storeys. */
 const ROOM = 42;
 const BELOW = 26;
@@ -38,6 +38,8 @@ const NAMED_FROM = 13;
  */
 const CALLOUT_ROW = 13;
 const CALLOUT_FROM = 20;
+/** Room for the probability beside a part, such as > 99.99 %. */
+const CALLOUT_SIDE = 90;
 /**
  * Probability of loss from which the worst part has a name even if it is too small. The order of
  * sound parts means nothing.
@@ -131,15 +133,17 @@ export class Drawing {
     const longest = (texts) => Math.max(0, ...texts.map((text) => text.length)) * CHARACTER;
     const left = Math.max(LEAST_SIDE, longest(members.filter(({ parameters }) => parameters.length > 0).map(({ parts }) => parts[0])) + CALLOUT_FROM + 4);
     const beside = storey >= NAMED_FROM ? longest(points.map((_, point) => sensors.filter((sensor) => sensor.point === point).map(({ channel }) => channel).join(", "))) : 0;
-    const width = Math.max(LEAST_WIDTH, WIDTH - left - Math.max(LEAST_SIDE, beside + 20) - 15 * abreast);
+    const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
+    const isSmall = (member) => group(member).length * storey < NAMED_FROM;
+    const side = members.some((member) => member.parameters.length > 0 && isSmall(member)) ? CALLOUT_SIDE : LEAST_SIDE;
+    const width = Math.max(LEAST_WIDTH, WIDTH - left - Math.max(side, beside + 20) - 15 * abreast);
     const level = (point) => bottom - storey * points[point].y;
     this.svg.append(s("path", { class: "ground", d: `M${left - 20} ${bottom}H${left + width + 6}` }), ...ground(left - 20, left + width + 6, bottom));
     const names = [];
-    const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
     for (const first of members.filter((member) => group(member)[0] === member && member.parameters.length > 0)) {
       const together = group(first);
       const y = (level(first.ends[0]) + level(together.at(-1).ends[1])) / 2;
-      if (together.length * storey >= NAMED_FROM) {
+      if (!isSmall(first)) {
         this.#named.push(y);
         continue;
       }
