@@ -62,7 +62,7 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
     if structure.is_some() && arguments.reading.is_some() {
         return Err(AppError::ReadingOfStructure);
     }
-    let structure = structure.map(|file| Structure::read(file)).transpose()?;
+    let structure = structure.map(Structure::read).transpose()?;
     let plan = structure
         .as_ref()
         .and_then(Structure::modal)
