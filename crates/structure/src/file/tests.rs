@@ -53,11 +53,7 @@ fn structure_files(folder: &Path) -> Vec<PathBuf> {
             file.extension()
                 .is_some_and(|extension| extension == "toml")
         })
-        .filter(|file| {
-            std::fs::read_to_string(file)
-                .unwrap()
-                .contains("[model]")
-        })
+        .filter(|file| std::fs::read_to_string(file).unwrap().contains("[model]"))
         .chain(folders.iter().flat_map(|folder| structure_files(folder)))
         .collect()
 }
