@@ -1,7 +1,5 @@
 //! Series for the tests: tables from `shared/data`, and a simulated structure.
 
-#![allow(dead_code, reason = "each test file uses its part of it")]
-
 use spandrel_judge::{
     Condition, ConditionKind, Epoch, Judge, Judgement, Quantity, QuantityKind, Season, Settings,
     State,

@@ -1,5 +1,4 @@
 //! Structures of every kind for tests of whole runs.
-#![allow(dead_code, reason = "no test needs all of them")]
 
 use spandrel_structure::Structure;
 use std::fmt::Write;
