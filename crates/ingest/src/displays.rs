@@ -108,6 +108,7 @@ async fn publish(
     mut reduction: Reduction,
     topics: &[NodeTopics],
 ) -> Result<(), String> {
+    let mut is_failing = false;
     while let Ok(block) = waiting.recv_async().await {
         let more = waiting.try_iter().take(BLOCKS_WAITING);
         let blocks: Vec<FrameBlock> = std::iter::once(block).chain(more).collect();
@@ -121,13 +122,19 @@ async fn publish(
         });
         let (back, messages) = reduced.await.map_err(|error| error.to_string())?;
         reduction = back;
-        let failed = |error: BusError| error.to_string();
+        // A sample of 1e300 has no place in a message. The next messages may have one.
+        let mut failure = None;
         for (message, topics) in messages.waveforms.iter().zip(topics.iter().cycle()) {
-            topics.waveform.put(message).await.map_err(failed)?;
+            failure = topics.waveform.put(message).await.err().or(failure);
         }
         for (message, topics) in messages.spectra.iter().zip(topics.iter().cycle()) {
-            topics.spectrum.put(message).await.map_err(failed)?;
+            failure = topics.spectrum.put(message).await.err().or(failure);
         }
+        match &failure {
+            Some(why) if !is_failing => warn!(%why, "a waveform or spectrum is not published"),
+            Some(_) | None => {}
+        }
+        is_failing = failure.is_some();
     }
     Ok(())
 }
