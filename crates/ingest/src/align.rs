@@ -327,6 +327,10 @@ impl Alignment {
         }
         // A live node that has fallen silent must not hold back the others.
         let is_live = block.pace == Pace::Live;
+        if is_live && queue.in_time_when_parked != self.in_time {
+            // Other nodes deliver samples of the present run, so only this node has gone back.
+            queue.drop_old_parked(&block);
+        }
         queue.park(block);
         let others_are_silent = is_live
             && queue.in_time_when_parked == self.in_time

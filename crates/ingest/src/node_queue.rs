@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use spandrel_bus::{Block, NodeClock, Pace, SampleBlock, StreamState};
+use spandrel_bus::{Block, NodeClock, SampleBlock, StreamState};
 
 use crate::counts::NodeCounts;
 use crate::sampling_instants::{SamplingInstants, Stamp};
@@ -15,8 +15,8 @@ const MAX_WAITING: usize = 1 << 17;
 const ROOM_KEPT: usize = 1 << 10;
 /// Maximum number of parked blocks. It covers the blocks in transit from a replay that restarts.
 const MAX_PARKED: usize = 1 << 13;
-/// Longest span of parked live blocks, ns. It exceeds the time after which nodes that have gone
-/// back begin a new run.
+/// Longest span of parked live blocks, ns, while other nodes deliver samples of the present run. It
+/// exceeds the time after which nodes that have gone back begin a new run.
 const PARKED_LIVE_NS: i64 = 2_000_000_000;
 
 /// The state of a node, which determines whether frames wait for its samples.
@@ -120,23 +120,23 @@ impl NodeQueue {
 
     /// Parks a block from the past, or counts its samples as overflowed if too many blocks are
     /// parked.
-    ///
-    /// Of live blocks, only the latest [`PARKED_LIVE_NS`] remain parked. Earlier ones are late.
     pub(crate) fn park(&mut self, block: SampleBlock) {
         self.counts.received += block.count();
-        if block.pace == Pace::Live {
-            let newest_ns = block.header.time_ns;
-            let is_old = |parked: &SampleBlock| {
-                parked.header.time_ns.saturating_add(PARKED_LIVE_NS) < newest_ns
-            };
-            while let Some(old) = self.parked.pop_front_if(|parked| is_old(parked)) {
-                self.counts.late += old.count();
-            }
-        }
         if self.parked.len() < MAX_PARKED {
             self.parked.push_back(block);
         } else {
             self.counts.overflowed += block.count();
+        }
+    }
+
+    /// Drops the parked blocks that are more than [`PARKED_LIVE_NS`] older than `newest`, and counts
+    /// their samples as late.
+    pub(crate) fn drop_old_parked(&mut self, newest: &SampleBlock) {
+        let is_old = |parked: &mut SampleBlock| {
+            parked.header.time_ns.saturating_add(PARKED_LIVE_NS) < newest.header.time_ns
+        };
+        while let Some(old) = self.parked.pop_front_if(is_old) {
+            self.counts.late += old.count();
         }
     }
 
@@ -336,7 +336,7 @@ fn checked(value: f64, range: f64, counts: &mut NodeCounts) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use spandrel_bus::Header;
+    use spandrel_bus::{Header, Pace};
 
     use super::*;
 

@@ -599,6 +599,19 @@ fn live_nodes_that_go_back_together_begin_a_new_run_within_a_second() {
     assert!(frames >= 400, "{frames} of 500 frames");
 }
 
+// On a busy machine, blocks of one node arrive in bursts.
+#[test]
+fn live_nodes_that_go_back_together_lose_nothing_if_one_of_them_is_received_first() {
+    let mut alignment = alignment(&[1, 1]);
+    feed(&mut alignment, live(1, T0 + 60 * 100 * STEP, 2));
+    let mut back = live(1, T0, 8);
+    back.sort_by_key(|(node, _)| *node);
+    let out = feed(&mut alignment, back);
+    let of_new_run = out.iter().filter(|block| block.header.epoch == 2);
+    assert_eq!(of_new_run.map(Block::count).sum::<u64>(), 800);
+    assert_eq!(alignment.counts().nodes.late, 0);
+}
+
 #[test]
 fn live_node_that_goes_back_while_the_other_is_silent_begins_a_new_run() {
     let mut alignment = alignment(&[1, 1]);
