@@ -115,9 +115,9 @@ impl Heard {
     }
 }
 
-/// Returns the memory of a process in MB (10⁶ bytes).
-pub fn resident_mb(process: &Process) -> f64 {
-    let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+/// Returns the memory of a process, by its ID, in MB (10⁶ bytes).
+pub fn resident_mb(process: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let line = status
         .lines()
         .find_map(|line| line.strip_prefix("VmRSS:"))

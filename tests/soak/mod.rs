@@ -5,30 +5,25 @@
 //! short form runs with the other tests. To run the long form, use `cargo test --workspace --test
 //! program soak:: -- --ignored --nocapture`, with `SOAK_S` for another length (s).
 
+mod besieged;
+mod houses;
 mod measured;
 mod node;
 
-use crate::support::{Process, Site, spandrel, two_storeys, within};
+use crate::support::{Process, Site, spandrel};
+use houses::{Houses, OTHERS, SPEED, check_recording};
 use measured::{Heard, Series, processor_s, resident_mb};
-use node::{Clock, Manner, ORDERS, Orders};
+use node::{Manner, ORDERS};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use spandrel_bus::{Bus, BusConfig, Keys, Mode, Service};
-use spandrel_record::{FrameLog, LogLayout, LogSettings};
+use spandrel_bus::{Bus, BusConfig, Mode};
 use std::collections::BTreeMap;
-use std::path::Path;
-use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
-/// Speed as a multiple of real time.
-const SPEED: f64 = 20.0;
 const STRUCTURES: usize = 3;
 const SERVICES: [&str; 5] = ["ingest", "identify", "alert", "history", "dashboard"];
-/// Node that is always present and always correct. The others come and go.
-const STEADY: &str = "ground";
-const OTHERS: [&str; 2] = ["floor-1", "roof"];
 
 /// Durations of the observation, and limits that must hold.
 struct Plan {
@@ -86,57 +81,33 @@ async fn faulty_nodes_for_twenty_minutes() {
 
 /// All running processes.
 struct Town {
-    sites: Vec<Site>,
-    clock: Clock,
+    houses: Houses,
     services: BTreeMap<&'static str, Process>,
-    /// Nodes by structure and name, each with its manner.
-    nodes: BTreeMap<(usize, &'static str), (Manner, Process)>,
     _router: Bus,
 }
 
 impl Town {
     async fn start() -> Self {
-        let house = |number: usize| {
-            let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.3\ncredibility = 0.99\nsustain-s = 10\n";
-            let text = two_storeys(rules).replace("\"house\"", &format!("\"house-{number}\""));
-            Site::with(&text.replace(
-                "sampling-rate-hz = 100",
-                "sampling-rate-hz = 100\ndisplay-rate-hz = 1",
-            ))
-        };
-        let mut sites = vec![house(1)];
-        for number in 2..=STRUCTURES {
-            let site = house(number).at(&sites[0]);
-            sites.push(site);
-        }
-        for site in &sites {
-            assert_eq!(
-                site.simulate(60.0).len() % 100,
-                0,
-                "the record is that of whole blocks"
-            );
-        }
-        let listen = vec![sites[0].endpoint().to_owned()];
+        let mut houses = Houses::new(STRUCTURES);
+        let site = &houses.sites[0];
         let router = Bus::open(&BusConfig {
             mode: Mode::Router,
-            listen,
+            listen: vec![site.endpoint().to_owned()],
             ..BusConfig::default()
         })
         .await
         .unwrap();
-        let configuration = sites[0].folder().join("spandrel.toml");
+        let configuration = site.folder().join("spandrel.toml");
         let text = "[bus]\nmode = \"client\"\n[state]\nfolder = \"kept\"\n[history]\ndatabase = \"history.sqlite\"\n\
                     [dashboard]\nlisten = \"127.0.0.1:0\"\n";
         std::fs::write(&configuration, text).unwrap();
         let start = |service: &'static str| {
             let mut command = spandrel(service);
-            command.args(sites.iter().map(Site::structure_file)).args([
-                "-v",
-                "--root",
-                sites[0].keys().root().as_str(),
-            ]);
             command
-                .args(["--connect", sites[0].endpoint()])
+                .args(houses.sites.iter().map(Site::structure_file))
+                .args(["-v", "--root", site.keys().root().as_str()]);
+            command
+                .args(["--connect", site.endpoint()])
                 .arg("--config")
                 .arg(&configuration);
             (service, Process::start(&mut command))
@@ -150,42 +121,12 @@ impl Town {
                 &all
             });
         }
-        let mut town = Self {
-            sites,
-            clock: Clock::starting(SPEED),
+        houses.start_nodes();
+        Self {
+            houses,
             services,
-            nodes: BTreeMap::new(),
             _router: router,
-        };
-        for structure in 0..STRUCTURES {
-            for node in [STEADY].into_iter().chain(OTHERS) {
-                town.send(structure, node, Manner::Honest);
-            }
         }
-        town
-    }
-
-    fn keys(&self) -> Vec<Keys> {
-        self.sites.iter().map(Site::keys).collect()
-    }
-
-    /// Starts a node.
-    fn send(&mut self, structure: usize, node: &'static str, manner: Manner) {
-        let site = &self.sites[structure];
-        let orders = Orders {
-            endpoint: site.endpoint().to_owned(),
-            root: site.keys().root().to_string(),
-            structure_file: site.structure_file().to_owned(),
-            record: site.folder().join("record.csv"),
-            node: node.to_owned(),
-            manner,
-            clock: self.clock,
-        };
-        let mut command = Command::new(std::env::current_exe().unwrap());
-        command.args(["soak::sensor_node", "--exact", "--ignored", "--nocapture"]);
-        let process =
-            Process::start_with_input(command.env(ORDERS, serde_json::to_string(&orders).unwrap()));
-        self.nodes.insert((structure, node), (manner, process));
     }
 
     /// Returns the manner of a returning node. Only one of three clocks may be an hour ahead,
@@ -195,6 +136,7 @@ impl Town {
             return Manner::Honest;
         }
         let is_ahead = self
+            .houses
             .nodes
             .iter()
             .any(|((of, _), (manner, _))| *of == structure && *manner == Manner::ClockAhead);
@@ -210,7 +152,7 @@ impl Town {
             random.random_range(0..STRUCTURES),
             OTHERS[random.random_range(0..OTHERS.len())],
         );
-        match self.nodes.remove(&place) {
+        match self.houses.nodes.remove(&place) {
             Some((_, process)) if random.random() => {
                 process.kill();
                 "killed"
@@ -223,7 +165,7 @@ impl Town {
             }
             None => {
                 let manner = self.next_manner(place.0, random);
-                self.send(place.0, place.1, manner);
+                self.houses.send(place.0, place.1, manner);
                 match manner {
                     Manner::Honest => "came back honest",
                     Manner::Implausible => "came back with absurd values",
@@ -232,6 +174,7 @@ impl Town {
                     Manner::Channels => "came back with a channel too many",
                     Manner::OldMessages => "came back with old messages",
                     Manner::Garbage => "came back with garbage",
+                    Manner::YearAhead | Manner::LaterEpoch => unreachable!("not among the lies"),
                 }
             }
         }
@@ -241,76 +184,29 @@ impl Town {
     fn calm_down(&mut self) {
         for structure in 0..STRUCTURES {
             for node in OTHERS {
-                match self.nodes.remove(&(structure, node)) {
+                match self.houses.nodes.remove(&(structure, node)) {
                     Some((Manner::Honest, process)) => drop(
-                        self.nodes
+                        self.houses
+                            .nodes
                             .insert((structure, node), (Manner::Honest, process)),
                     ),
                     Some((_, liar)) => {
                         liar.kill();
-                        self.send(structure, node, Manner::Honest);
+                        self.houses.send(structure, node, Manner::Honest);
                     }
-                    None => self.send(structure, node, Manner::Honest),
+                    None => self.houses.send(structure, node, Manner::Honest),
                 }
             }
         }
-    }
-
-    /// Stops the nodes, and waits until all frames are decided on. Returns the number of samples
-    /// that each steady node has published, and the number of frames.
-    async fn end(&mut self, bus: &Bus) -> Vec<(u64, u64)> {
-        for (_, node) in self.nodes.values_mut() {
-            node.write_line();
-        }
-        let mut counts = Vec::new();
-        for structure in 0..STRUCTURES {
-            let (_, steady) = &self.nodes[&(structure, STEADY)];
-            steady.wait_for_output("put … samples", |said| said.contains(" samples\n"));
-            let said = steady.output();
-            let put = said
-                .split("put ")
-                .nth(1)
-                .and_then(|rest| rest.split(' ').next())
-                .unwrap()
-                .parse()
-                .unwrap();
-            let keys = self.sites[structure].keys();
-            let ended = async {
-                loop {
-                    let at = bus
-                        .stream_position(&keys.recording(), crate::support::DEADLINE)
-                        .await;
-                    match at.filter(|at| at.state == spandrel_bus::StreamState::Ended) {
-                        Some(at) => return at.header.sequence,
-                        None => tokio::time::sleep(Duration::from_millis(100)).await,
-                    }
-                }
-            };
-            let frames = within("the end of the frames", ended).await;
-            let mut decided = bus
-                .watch_progress(keys.progress(Service::Alert))
-                .await
-                .unwrap();
-            within(
-                "decision on all frames",
-                decided.wait_for(|progress| progress.done >= frames),
-            )
-            .await;
-            counts.push((put, frames));
-        }
-        for (_, (_, mut node)) in std::mem::take(&mut self.nodes) {
-            node.write_line();
-            node.wait().expect_code(0);
-        }
-        counts
     }
 }
 
 async fn soak(plan: Plan) {
     let mut town = Town::start().await;
-    let bus = town.sites[0].join().await;
+    let bus = town.houses.sites[0].join().await;
     let started = Instant::now();
-    let (heard, listening) = Heard::listen(&bus, &town.keys(), town.clock, started).await;
+    let (heard, listening) =
+        Heard::listen(&bus, &town.houses.keys(), town.houses.clock, started).await;
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut memory_mb = Series::default();
     let mut happened: BTreeMap<&str, u32> = BTreeMap::new();
@@ -323,7 +219,7 @@ async fn soak(plan: Plan) {
         tokio::select! {
             _ = second.tick() => {
                 for (name, service) in &town.services {
-                    memory_mb.push(name, started.elapsed(), resident_mb(service));
+                    memory_mb.push(name, started.elapsed(), resident_mb(service.id()));
                 }
                 if started.elapsed() >= turmoil && !is_calm {
                     is_calm = true;
@@ -337,7 +233,7 @@ async fn soak(plan: Plan) {
             }
         }
     }
-    let counts = town.end(&bus).await;
+    let counts = town.houses.end(&bus).await;
     let processor_s = town
         .services
         .iter()
@@ -357,8 +253,13 @@ async fn soak(plan: Plan) {
         happened,
     };
     report.tell(&counts);
-    for (site, (put, frames)) in town.sites.iter().zip(counts) {
-        check_recording(&town.sites[0].folder().join("kept"), site, put, frames);
+    for (site, (put, frames)) in town.houses.sites.iter().zip(counts) {
+        check_recording(
+            &town.houses.sites[0].folder().join("kept"),
+            site,
+            put,
+            frames,
+        );
     }
     report.check();
 }
@@ -467,68 +368,4 @@ impl Report {
             );
         }
     }
-}
-
-/// Checks that the recording contains each sample that the steady node has published, and every
-/// frame. All nodes are present at the end.
-fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
-    let structure = site.structure();
-    let channels: Vec<String> = structure
-        .channels()
-        .map(|channel| channel.name().to_owned())
-        .collect();
-    let layout = LogLayout {
-        structure: structure.name().to_owned(),
-        nodes: structure
-            .nodes()
-            .iter()
-            .map(|node| node.name().to_owned())
-            .collect(),
-        sampling_rate_hz: structure.sampling_rate_hz(),
-        channels: channels.clone(),
-    };
-    let folder = state
-        .join(site.keys().root().as_str())
-        .join(structure.name())
-        .join("recording");
-    let (log, _) = FrameLog::open(&folder, layout, LogSettings::default()).unwrap();
-    let reader = log.reader();
-    let spans = reader.spans();
-    assert_eq!(spans.len(), 1, "{}: {spans:?}", structure.name());
-    assert_eq!(
-        (spans[0].from, spans[0].to, spans[0].missing),
-        (0, frames, 0),
-        "{}: {spans:?}",
-        structure.name()
-    );
-    let steady = channels
-        .iter()
-        .position(|channel| channel == STEADY)
-        .unwrap();
-    let (mut recorded, mut after, mut last_whole) = (0, 0, 0);
-    while after < frames {
-        let block = reader
-            .read(spans[0].epoch, after, 4096, 1 << 20)
-            .unwrap()
-            .expect("the end is recorded");
-        for (number, frame) in (after..).zip(block.values.chunks(channels.len())) {
-            recorded += u64::from(!frame[steady].is_nan());
-            if frame.iter().all(|value| value.is_finite()) {
-                last_whole = number;
-            }
-        }
-        after += block.count();
-    }
-    assert_eq!(
-        recorded,
-        put,
-        "{}: samples of {STEADY} in the recording, of those put",
-        structure.name()
-    );
-    let unheard = frames - last_whole;
-    assert!(
-        unheard < 2000,
-        "{}: the last {unheard} frames lack a node that is online",
-        structure.name()
-    );
 }

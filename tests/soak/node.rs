@@ -19,6 +19,7 @@ const BLOCK: u64 = 100;
 const STEP_NS: i64 = 10_000_000;
 /// Offset of a wrong clock (ns).
 const OFF_NS: i64 = 3600 * 1_000_000_000;
+const DAY_NS: i64 = 24 * OFF_NS;
 
 /// Manner in which a node changes its true samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -36,9 +37,15 @@ pub enum Manner {
     OldMessages,
     /// Undecodable bytes between its blocks.
     Garbage,
+    /// Clock 400 days ahead.
+    YearAhead,
+    /// A second program under the name of a node, with a clock 30 days ahead, so that its epoch is
+    /// higher than that of the node.
+    LaterEpoch,
 }
 
 impl Manner {
+    /// What a node may do for as long as it likes.
     pub const LIES: [Self; 6] = [
         Self::Implausible,
         Self::ClockAhead,
@@ -152,7 +159,10 @@ pub async fn be(orders: Orders) {
         &keys,
         Name::new(&node).unwrap(),
         channels,
-        wall_ns() as u64,
+        match manner {
+            Manner::LaterEpoch => wall_ns() + 30 * DAY_NS,
+            _ => wall_ns(),
+        } as u64,
     )
     .await;
     let lines = lines();
@@ -214,6 +224,8 @@ async fn lie(
         }
         Manner::ClockAhead => block.header.time_ns += OFF_NS,
         Manner::ClockBehind => block.header.time_ns -= OFF_NS,
+        Manner::YearAhead => block.header.time_ns += 400 * DAY_NS,
+        Manner::LaterEpoch => block.header.time_ns += 30 * DAY_NS,
         Manner::Channels => {
             block.channels += 1;
             block.samples = vec![0.0; usize::from(block.channels) * BLOCK as usize];
