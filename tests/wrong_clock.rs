@@ -190,6 +190,24 @@ async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_
         .expect_told(&["600.0 s ahead of most nodes"]);
 }
 
+// A clock that moves by less than the limit of the vote went unnoticed.
+#[tokio::test(flavor = "multi_thread")]
+async fn node_whose_clock_moves_by_a_second_is_named_and_used() {
+    let mut running = Running::start().await;
+    let all = |off_s: i64| [("roof", off_s), ("ground", 0), ("floor-1", 0)];
+    for _ in 0..150 {
+        running.put(&all(0)).await;
+    }
+    let event = running
+        .until_event(EventKind::ClockMoved, &all(1), 2 * NAMED_WITHIN)
+        .await;
+    assert_eq!(event.subject, "roof", "{event:?}");
+    assert!(event.what.contains("moved forward by "), "{event:?}");
+    let complete = |frame: &[f64]| frame.iter().all(|value| value.is_finite());
+    running.until_frame("of all nodes", &all(1), complete).await;
+    running.services.stop().expect_code(0);
+}
+
 // The node was refused after every restart, until its clock passed the epoch of the other program.
 #[tokio::test(flavor = "multi_thread")]
 async fn node_that_a_second_program_has_locked_out_is_used_again() {

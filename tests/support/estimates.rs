@@ -184,7 +184,14 @@ pub fn assert_same_bits(
                 found[number].time_ns,
                 found[number + 1].time_ns
             ),
-            None => "their times increase".to_owned(),
+            None => {
+                let is_missing = |number: usize| match found.get(number) {
+                    Some(frame) => frame.time_ns != expected[number].time_ns,
+                    None => true,
+                };
+                let first = (0..expected.len()).find(|number| is_missing(*number));
+                format!("their times increase; the first missing frame is {first:?}")
+            }
         }
     };
     assert!(

@@ -313,8 +313,8 @@ impl<B: Block> Follower<B> {
         false
     }
 
-    /// Reads an excluded run from this block on. If only the term excluded it, the stream continues
-    /// where it was.
+    /// Reads an excluded run from this block on. If only the term excluded it, or if the source had
+    /// denied its epoch, the stream continues where it was.
     fn read_again(&mut self, block: &B) {
         let Header {
             source,
@@ -323,14 +323,15 @@ impl<B: Block> Follower<B> {
             ..
         } = block.header().clone();
         self.term = block.term();
-        self.denied = None;
+        let denied = self.denied.take().filter(|denied| denied.epoch == epoch);
         self.has_answered();
         match &mut self.position {
             Some(position) if position.epoch == epoch => position.source = None,
             Some(_) if self.patience == Patience::Limited => {
                 self.former = None;
                 self.held.clear();
-                self.position = Some(Position::new(epoch, Some(source), sequence));
+                let next = denied.map_or(sequence, |denied| denied.next);
+                self.position = Some(Position::new(epoch, Some(source), next));
             }
             _ => {}
         }

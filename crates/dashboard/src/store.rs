@@ -328,6 +328,7 @@ impl Store {
                 | EventKind::SamplesDropped
                 | EventKind::SamplesBack
                 | EventKind::ClockWrong
+                | EventKind::ClockMoved
                 | EventKind::ClockRight
                 | EventKind::Monitoring
                 | EventKind::Maintenance

@@ -1,5 +1,6 @@
 //! Reports nodes whose clocks differ from those of the other nodes.
 
+use crate::clock_moves::ClockMove;
 use crate::clock_vote::{ClockVerdict, Tally};
 
 /// A report on the clock of one node.
@@ -80,6 +81,31 @@ fn report(node: usize, verdict: ClockVerdict, tally: Tally) -> ClockReport {
     }
 }
 
+/// Returns what happened, with numbers, and the reason with advice.
+pub(crate) fn describe_move(moved: &ClockMove) -> (String, String) {
+    let (direction, causes) = match moved.by_ns < 0 {
+        true => (
+            "back",
+            "was set back or is slow, or its samples now arrive later",
+        ),
+        false => (
+            "forward",
+            "was set forward or is fast, or its samples now arrive earlier",
+        ),
+    };
+    let seconds = moved.by_ns.unsigned_abs() as f64 / 1e9;
+    let what = format!(
+        "the clock of the node has moved {direction} by {seconds:.2} s against most nodes within \
+         {} s",
+        moved.within.as_secs()
+    );
+    let why = format!(
+        "the clock {causes}; its samples are used at the times that it states; check its time \
+         synchronisation"
+    );
+    (what, why)
+}
+
 /// Returns a difference between two clocks, such as `3.5 s ahead of`.
 fn in_words(difference_ns: i64) -> String {
     let seconds = difference_ns.unsigned_abs() as f64 / 1e9;
@@ -98,6 +124,23 @@ mod tests {
         votes: 6,
         agreeing: 5,
     };
+
+    #[test]
+    fn movement_is_described_with_its_direction_and_size() {
+        let moved = |by_ns| {
+            let within = std::time::Duration::from_secs(15);
+            describe_move(&ClockMove {
+                node: 0,
+                by_ns,
+                within,
+            })
+        };
+        assert_eq!(
+            moved(300_000_000).0,
+            "the clock of the node has moved forward by 0.30 s against most nodes within 15 s"
+        );
+        assert!(moved(-300_000_000).1.contains("arrive later"));
+    }
 
     #[test]
     fn change_of_the_verdict_is_reported_once_with_the_difference() {

@@ -43,6 +43,7 @@ mod node_queue;
 mod sampling_instants;
 
 mod align;
+mod clock_moves;
 mod clock_vote;
 mod clock_watch;
 mod drop_watch;

@@ -5,6 +5,7 @@ use std::time::Duration;
 use spandrel_bus::{Block, Pace, SampleBlock};
 
 use crate::align::AlignmentInput;
+use crate::clock_moves::{ClockMove, ClockMoves};
 use crate::clock_vote::{ClockVerdict, ClockVote};
 use crate::clock_watch::{ClockReport, ClockWatch};
 use crate::lateness::Lateness;
@@ -19,6 +20,7 @@ pub(crate) struct Timekeeping {
     lateness: Lateness,
     vote: ClockVote,
     watch: ClockWatch,
+    moves: ClockMoves,
     limit: Duration,
     /// Which nodes the alignment distrusts.
     distrusted: Vec<bool>,
@@ -32,6 +34,7 @@ impl Timekeeping {
             lateness: Lateness::new(allowed, nodes),
             vote: ClockVote::new(limit, nodes),
             watch: ClockWatch::new(nodes),
+            moves: ClockMoves::new(nodes),
             limit,
             distrusted: vec![false; nodes],
         }
@@ -59,6 +62,7 @@ impl Timekeeping {
         };
         if !self.vote.is_wrong(node) {
             self.lateness.arrived(node, time_ns, now);
+            self.moves.arrived(node, time_ns, now);
         }
         inputs
     }
@@ -80,6 +84,11 @@ impl Timekeeping {
     /// Returns a report on each node whose clock has become wrong or right since the last call.
     pub(crate) fn reports(&mut self, now: Duration) -> Vec<ClockReport> {
         self.watch.read(&self.vote.verdicts(now), self.vote.tally())
+    }
+
+    /// Returns the clocks that have moved since the last call without becoming wrong.
+    pub(crate) fn moves(&mut self, now: Duration) -> Vec<ClockMove> {
+        self.moves.read(now)
     }
 
     /// Returns the difference between the clock of each node and that of most nodes, s. `None` for
@@ -106,6 +115,7 @@ impl Timekeeping {
             if std::mem::replace(distrusted, is_wrong) == is_wrong {
                 continue;
             }
+            self.moves.forget(node);
             if is_wrong {
                 self.lateness.forget(node);
             }

@@ -70,6 +70,7 @@ fn level(event: &Event) -> Level {
         | EventKind::ChannelInDoubt
         | EventKind::SamplesDropped
         | EventKind::ClockWrong
+        | EventKind::ClockMoved
         | EventKind::Monitoring
         | EventKind::Gap
         | EventKind::Overloaded

@@ -868,6 +868,35 @@ fn epoch_that_a_new_source_denies_before_it_enters_it_is_not_repeated() {
     assert_eq!(delivered_items(&rig), [(1, 0), (1, 2), (1, 4)]);
 }
 
+// The reader continued with the next published estimates, and lost those before them without a gap.
+#[test]
+fn items_of_a_denied_epoch_are_fetched_when_it_is_read_again() {
+    let mut rig = Rig::new(Start::Beginning, 100, 10);
+    rig.idle();
+    let reply = |rig: &mut Rig, answer| {
+        let range = rig.fetch.take().expect("nothing is asked");
+        rig.follower.answered(answer, &mut rig.actions);
+        rig.work();
+        range
+    };
+    reply(&mut rig, caught_up(0, 0));
+    rig.live(second(1, 0));
+    for _ in 0..2 {
+        reply(&mut rig, caught_up(0, 0));
+    }
+    for number in 0..20 {
+        rig.live(second(1, number));
+    }
+    let missing = reply(&mut rig, Answer::Block(frames(1, 1, 15)));
+    assert_eq!(missing.after, 1);
+    let delivered = rig.got.iter().map(|delivery| match delivery {
+        Delivery::Block(block) => block.header.sequence..block.end(),
+        Delivery::Gap(gap) => panic!("{gap:?}"),
+    });
+    let items: Vec<u64> = delivered.flatten().collect();
+    assert_eq!(items, (0..20).collect::<Vec<_>>());
+}
+
 #[test]
 fn epoch_that_the_source_confirms_is_read_at_once() {
     let mut rig = Rig::new(Start::Beginning, 100, 10);

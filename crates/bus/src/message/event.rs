@@ -72,6 +72,8 @@ pub enum EventKind {
     ModePaired,
     /// Two such modes can be told apart again.
     ModeParted,
+    /// The clock of a node has moved against those of the other nodes, but its samples are used.
+    ClockMoved,
 }
 
 /// One event with its reason.

@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use spandrel_bus::{Event, EventKind, Name, NodeClock};
 
 use super::IngestService;
+use crate::clock_watch::describe_move;
 use crate::error::IngestError;
 
 impl IngestService {
     /// Counts the votes on the clocks again, and publishes an event for each node whose clock has
-    /// become wrong or right.
+    /// become wrong or right, or has moved.
     pub(super) async fn report_clocks(&mut self) -> Result<(), IngestError> {
         let elapsed = self.started.elapsed();
         let Some(timekeeping) = &mut self.timekeeping else {
@@ -17,6 +18,7 @@ impl IngestService {
         };
         let inputs = timekeeping.count_votes(elapsed);
         let reports = timekeeping.reports(elapsed);
+        let moves = timekeeping.moves(elapsed);
         for input in inputs {
             self.handle(input).await?;
         }
@@ -34,6 +36,21 @@ impl IngestService {
                 subject: node.name.to_string(),
                 what: report.what,
                 why: report.why,
+            };
+            self.events.put(&event).await?;
+        }
+        for moved in moves {
+            let Some(node) = self.layout.nodes().get(moved.node) else {
+                continue; // moves have the indices of the layout
+            };
+            let (what, why) = describe_move(&moved);
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: self.last_time_ns.unwrap_or(0),
+                kind: EventKind::ClockMoved,
+                subject: node.name.to_string(),
+                what,
+                why,
             };
             self.events.put(&event).await?;
         }
