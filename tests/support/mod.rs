@@ -35,7 +35,7 @@ use std::future::Future;
 use std::time::Duration;
 
 /// Limit that only ends a hang. No test result depends on it.
-pub const DEADLINE: Duration = Duration::from_secs(60);
+pub const DEADLINE: Duration = Duration::from_secs(180);
 
 /// Waits for an event that must occur. Panics after [`DEADLINE`].
 pub async fn within<T>(what: &str, event: impl Future<Output = T>) -> T {

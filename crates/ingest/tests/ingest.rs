@@ -22,7 +22,7 @@ use tokio::time::timeout;
 use zenoh::qos::CongestionControl;
 
 /// Limits the duration of a test that hangs.
-const DEADLINE: Duration = Duration::from_secs(60);
+const DEADLINE: Duration = Duration::from_secs(180);
 const STEP: i64 = 5_000_000;
 
 async fn pair() -> (Bus, Bus) {

@@ -17,7 +17,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::Query;
 
 /// Limits the duration of a hanging test.
-const DEADLINE: Duration = Duration::from_secs(60);
+const DEADLINE: Duration = Duration::from_secs(180);
 
 fn free_endpoint() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
