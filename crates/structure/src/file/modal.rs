@@ -195,6 +195,8 @@ fn report(section: &Section<'_>, error: &ModalError) {
         | ModalError::Channels { .. }
         | ModalError::Rate { .. }
         | ModalError::Frame { .. }
+        | ModalError::Model
+        | ModalError::NoModelMode
         | ModalError::NotConverged { .. } => "epoch-s",
     };
     let (found, allowed) = match error {
