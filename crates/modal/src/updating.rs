@@ -79,11 +79,6 @@ impl StiffnessUpdate {
         self.state = state;
     }
 
-    /// Starts the commissioning again.
-    pub fn clear(&mut self) {
-        self.state = UpdateState::Commissioning(Vec::new());
-    }
-
     /// Returns the reference. `None` during the commissioning.
     #[must_use]
     pub fn reference(&self) -> Option<&UpdateReference> {

@@ -221,9 +221,9 @@ impl UpdateReference {
             let pull = &frequencies.pull + &shapes.pull;
             let mean = factor.solve(&pull);
             let determinant: f64 = factor.l_dirty().diagonal().iter().map(|l| l.ln()).sum();
-            let evidence = frequencies.log_likelihood + shapes.log_likelihood
-                + 0.5 * pull.dot(&mean)
-                - determinant;
+            let evidence =
+                frequencies.log_likelihood + shapes.log_likelihood + 0.5 * pull.dot(&mean)
+                    - determinant;
             logs.push(weight.ln() + evidence);
             components.push(Component {
                 weight: 0.0,
@@ -390,7 +390,9 @@ impl UpdatePrecision {
     /// Returns the standard deviation of the change of ln k of a part.
     #[must_use]
     pub fn std(&self, part: usize) -> f64 {
-        self.covariance.get((part, part)).map_or(f64::NAN, |square| square.sqrt())
+        self.covariance
+            .get((part, part))
+            .map_or(f64::NAN, |square| square.sqrt())
     }
 
     /// Returns the loss of stiffness of a part, as a share, that one epoch shows with a probability
@@ -408,7 +410,9 @@ impl UpdatePrecision {
     #[must_use]
     pub fn correlation(&self, one: usize, other: usize) -> f64 {
         let product = self.std(one) * self.std(other);
-        self.covariance.get((one, other)).map_or(f64::NAN, |entry| entry / product)
+        self.covariance
+            .get((one, other))
+            .map_or(f64::NAN, |entry| entry / product)
     }
 
     /// Returns the probability at which [`Self::smallest_loss()`] counts a loss as found.

@@ -100,8 +100,7 @@ impl Frame {
     /// `None` if the shapes are orthogonal.
     pub(crate) fn deviation(&self, shape: &DVector<f64>) -> Option<DVector<f64>> {
         let along = shape.dot(&self.shape);
-        (along.abs() > LEAST_LIKENESS * shape.norm())
-            .then(|| self.basis.tr_mul(shape) / along)
+        (along.abs() > LEAST_LIKENESS * shape.norm()).then(|| self.basis.tr_mul(shape) / along)
     }
 
     /// Returns the covariance of [`Self::deviation()`] from the variances of the values.
@@ -135,7 +134,10 @@ mod tests {
     #[test]
     fn shape_does_not_depend_on_scale_and_phase() {
         let values = [(1.0, 0.1), (-0.5, 0.0), (0.2, -0.05)];
-        let values: Vec<_> = values.iter().map(|(re, im)| Complex::new(*re, *im)).collect();
+        let values: Vec<_> = values
+            .iter()
+            .map(|(re, im)| Complex::new(*re, *im))
+            .collect();
         let turned: Vec<_> = values.iter().map(|z| z * Complex::new(-1.0, 2.0)).collect();
         let seen = |values: &[Complex<f64>]| {
             let seen = SeenMode::new(1.0, 0.01).with_shape(values, &[0.01; 3]);

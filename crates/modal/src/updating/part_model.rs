@@ -155,7 +155,9 @@ impl PartModel {
         let squares = order.iter().map(|mode| eigen.eigenvalues[*mode]);
         Ok(Modes {
             // A mechanism has the frequency 0, and no logarithm of it.
-            squares: squares.map(|square| square.max(f64::MIN_POSITIVE)).collect(),
+            squares: squares
+                .map(|square| square.max(f64::MIN_POSITIVE))
+                .collect(),
             shapes,
         })
     }
@@ -174,8 +176,7 @@ impl PartModel {
         for shape in followed {
             let likeness = modes.shapes.tr_mul(&(&self.mass * shape));
             let free = (0..taken.len()).filter(|mode| !taken[*mode]);
-            let nearest =
-                free.max_by(|a, b| likeness[*a].abs().total_cmp(&likeness[*b].abs()));
+            let nearest = free.max_by(|a, b| likeness[*a].abs().total_cmp(&likeness[*b].abs()));
             let Some(mode) = nearest else {
                 return Err(ModalError::Model);
             };
@@ -276,13 +277,19 @@ pub(crate) mod tests {
         for (mode, found) in found.iter().enumerate() {
             let angle = (2 * mode + 1) as f64 * std::f64::consts::PI / 22.0;
             let expected = (300.0_f64 / 2.0).sqrt() * angle.sin() / std::f64::consts::PI;
-            assert!((found - expected).abs() < 1e-12 * expected, "{found} {expected}");
+            assert!(
+                (found - expected).abs() < 1e-12 * expected,
+                "{found} {expected}"
+            );
         }
     }
 
     #[test]
     fn derivatives_are_the_limit_of_differences() {
-        let model = chain(&[2.0, 1.7, 2.2, 1.9, 1.5], &[300.0, 250.0, 400.0, 210.0, 150.0]);
+        let model = chain(
+            &[2.0, 1.7, 2.2, 1.9, 1.5],
+            &[300.0, 250.0, 400.0, 210.0, 150.0],
+        );
         let x = DVector::from_column_slice(&[0.1, -0.2, 0.05, 0.0, 0.3]);
         let lines = model.all_lines(&x).unwrap();
         let followed: Vec<DVector<f64>> = lines.iter().map(|line| line.whole.clone()).collect();

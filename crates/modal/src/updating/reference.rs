@@ -102,12 +102,17 @@ impl UpdateReference {
     ) -> Result<Self, ModalError> {
         let count = epochs.iter().map(Vec::len).max().unwrap_or(0);
         let of_mode = |mode: usize| -> Vec<&SeenMode> {
-            epochs.iter().filter_map(|epoch| epoch.get(mode)?.as_ref()).collect()
+            epochs
+                .iter()
+                .filter_map(|epoch| epoch.get(mode)?.as_ref())
+                .collect()
         };
         let least = LEAST_PRESENCE * epochs.len() as f64;
         let mut modes: Vec<Option<ReferenceMode>> = (0..count)
             .map(|mode| of_mode(mode))
-            .map(|seen| (!seen.is_empty() && seen.len() as f64 >= least).then(|| mean(&seen, model)))
+            .map(|seen| {
+                (!seen.is_empty() && seen.len() as f64 >= least).then(|| mean(&seen, model))
+            })
             .collect();
         assign(model, &mut modes)?;
         let mut reference = Self {
@@ -179,7 +184,9 @@ impl UpdateReference {
     /// Returns for each declared mode the number of the mode of the model, from 0. `None` for a
     /// mode that is not used.
     pub fn of_model(&self) -> impl Iterator<Item = Option<usize>> {
-        self.modes.iter().map(|mode| mode.as_ref().map(|mode| mode.of_model))
+        self.modes
+            .iter()
+            .map(|mode| mode.as_ref().map(|mode| mode.of_model))
     }
 
     /// Returns the standard deviation of ln f between epochs beyond the stated one, that each mode
@@ -230,7 +237,9 @@ impl UpdateReference {
             let pairs: Vec<(&ReferenceMode, &SeenMode)> = pairs
                 .filter_map(|(mode, seen)| mode.as_ref().zip(seen.as_ref()))
                 .collect();
-            let values = pairs.iter().map(|(mode, seen)| seen.ln_frequency - mode.ln_frequency);
+            let values = pairs
+                .iter()
+                .map(|(mode, seen)| seen.ln_frequency - mode.ln_frequency);
             let variances = pairs.iter().map(|(_, seen)| seen.variance);
             of_frequencies.push(Deviation {
                 values: DVector::from_iterator(pairs.len(), values),
@@ -339,7 +348,9 @@ fn mean(seen: &[&SeenMode], model: &PartModel) -> ReferenceMode {
     let shape = sum.as_ref().and_then(Frame::new).map(|frame| {
         let count = shapes.len() as f64;
         let none = DMatrix::zeros(frame.basis.ncols(), frame.basis.ncols());
-        let stated = shapes.iter().map(|shape| frame.covariance(&shape.variances));
+        let stated = shapes
+            .iter()
+            .map(|shape| frame.covariance(&shape.variances));
         ReferenceShape {
             covariance: stated.fold(none, |sum, stated| sum + stated) / count,
             frame,
@@ -370,7 +381,11 @@ fn assign(model: &PartModel, modes: &mut [Option<ReferenceMode>]) -> Result<(), 
                 let column = seen.column(of_model);
                 let along = column.dot(&shape.frame.shape);
                 let square = column.norm_squared();
-                if square > 0.0 { along * along / square } else { 0.0 }
+                if square > 0.0 {
+                    along * along / square
+                } else {
+                    0.0
+                }
             });
             if distance < 1.0 && mac > LEAST_MAC {
                 let cost = distance.powi(2) + ((1.0 - mac) / MAC_SCALE).powi(2);
@@ -386,11 +401,14 @@ fn assign(model: &PartModel, modes: &mut [Option<ReferenceMode>]) -> Result<(), 
         }
     }
     for (mode, of_model) in modes.iter_mut().zip(mode_of) {
-        *mode = mode.take().zip(of_model).map(|(mode, of_model)| ReferenceMode {
-            whole: shapes.column(of_model).into_owned(),
-            of_model,
-            ..mode
-        });
+        *mode = mode
+            .take()
+            .zip(of_model)
+            .map(|(mode, of_model)| ReferenceMode {
+                whole: shapes.column(of_model).into_owned(),
+                of_model,
+                ..mode
+            });
     }
     match modes.iter().any(Option::is_some) {
         true => Ok(()),

@@ -92,7 +92,10 @@ pub(crate) fn levels(of: Of, deviations: &[Deviation], epochs: usize) -> Vec<Lev
 
 /// Returns the root mean square of τ.
 pub(crate) fn rms(levels: &[Level]) -> f64 {
-    let square: f64 = levels.iter().map(|level| level.weight * level.variance).sum();
+    let square: f64 = levels
+        .iter()
+        .map(|level| level.weight * level.variance)
+        .sum();
     square.sqrt()
 }
 

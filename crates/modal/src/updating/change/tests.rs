@@ -94,7 +94,12 @@ fn loss(parts: usize, part: usize, loss: f64) -> DVector<f64> {
 }
 
 /// Returns the change of an epoch after a commissioning of sound epochs.
-fn followed(truth: &mut Truth, model: PartModel, epochs: usize, to: &DVector<f64>) -> StiffnessChange {
+fn followed(
+    truth: &mut Truth,
+    model: PartModel,
+    epochs: usize,
+    to: &DVector<f64>,
+) -> StiffnessChange {
     let parts = model.parts();
     let mut update = StiffnessUpdate::new(model, settings(parts, epochs)).unwrap();
     for _ in 0..epochs {
@@ -115,9 +120,16 @@ fn a_loss_is_found_in_its_storey_by_a_model_that_starts_with_other_stiffnesses()
         for other in 0..5 {
             let expected = if other == part { 0.85_f64.ln() } else { 0.0 };
             let (mean, std) = (change.mean(other), change.std(other));
-            assert!((mean - expected).abs() < 2.0 * std, "{part} {other}: {mean} ± {std}");
+            assert!(
+                (mean - expected).abs() < 2.0 * std,
+                "{part} {other}: {mean} ± {std}"
+            );
             let probability = change.probability_of_loss(other, 0.05);
-            assert_eq!(probability > 0.9, other == part, "{part} {other}: {probability}");
+            assert_eq!(
+                probability > 0.9,
+                other == part,
+                "{part} {other}: {probability}"
+            );
         }
     }
 }
@@ -131,9 +143,15 @@ fn calibration_finds_the_stiffnesses_of_the_structure() {
     let reference = UpdateReference::learn(&nominal, &settings(5, 3), &epochs).unwrap();
     for (part, stiffness) in stiffnesses.iter().enumerate() {
         let error = reference.ln_stiffness[part] - (stiffness / 250.0).ln();
-        assert!(error.abs() < reference.ln_stiffness_std[part], "{part}: {error}");
+        assert!(
+            error.abs() < reference.ln_stiffness_std[part],
+            "{part}: {error}"
+        );
     }
-    assert_eq!(reference.of_model().flatten().collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    assert_eq!(
+        reference.of_model().flatten().collect::<Vec<_>>(),
+        [0, 1, 2, 3, 4]
+    );
 }
 
 /// With one degree of freedom, ln f = x/2 exactly. The posterior is then an integral over the levels
@@ -178,8 +196,16 @@ fn posterior_of_one_part_equals_a_direct_sum() {
     }
     let mean = mean / sum;
     let std = (square / sum - mean * mean).sqrt();
-    assert!((change.mean(0) - mean).abs() < 2e-3 * mean.abs(), "{} {mean}", change.mean(0));
-    assert!((change.std(0) - std).abs() < 5e-3 * std, "{} {std}", change.std(0));
+    assert!(
+        (change.mean(0) - mean).abs() < 2e-3 * mean.abs(),
+        "{} {mean}",
+        change.mean(0)
+    );
+    assert!(
+        (change.std(0) - std).abs() < 5e-3 * std,
+        "{} {std}",
+        change.std(0)
+    );
 }
 
 #[test]
@@ -227,7 +253,12 @@ fn intervals_contain_the_change_although_the_model_is_wrong() {
         }
     }
     let runs = runs as f64;
-    println!("inside {} found {} wrong {}", inside / all, found / runs, wrong / runs);
+    println!(
+        "inside {} found {} wrong {}",
+        inside / all,
+        found / runs,
+        wrong / runs
+    );
     assert!(inside / all > 0.9, "{}", inside / all);
     assert!(found / runs > 0.8, "{}", found / runs);
     assert!(wrong / runs < 0.05, "{}", wrong / runs);
@@ -245,7 +276,9 @@ fn an_epoch_without_used_modes_tells_only_the_prior() {
         assert!((change.std(part) - 0.15).abs() < 1e-12);
     }
     let partly = truth.epoch(&DVector::zeros(3)).into_iter().take(1);
-    let change = reference.change(&nominal, &partly.collect::<Vec<_>>()).unwrap();
+    let change = reference
+        .change(&nominal, &partly.collect::<Vec<_>>())
+        .unwrap();
     assert!(change.std(0) < 0.14);
 }
 
@@ -264,8 +297,10 @@ fn parts_that_no_mode_tells_apart_have_no_smallest_loss() {
     let model = chain(&[2.0; 3], &[300.0; 3]);
     let (frequencies, _) = model.modes(&DVector::zeros(3)).unwrap();
     let of = |modes: usize, shape_std: Option<f64>| {
-        let modes: Vec<(f64, f64)> =
-            frequencies[..modes].iter().map(|f| (*f, 0.002 * f)).collect();
+        let modes: Vec<(f64, f64)> = frequencies[..modes]
+            .iter()
+            .map(|f| (*f, 0.002 * f))
+            .collect();
         let settings = settings(3, 50);
         let reference = UpdateReference::expected(&model, &settings, &modes, shape_std).unwrap();
         reference.precision(&model).unwrap()

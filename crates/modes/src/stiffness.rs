@@ -1,0 +1,170 @@
+//! The stiffnesses of a structure with a model, from its declared modes.
+
+use crate::error::ModesError;
+use nalgebra::Complex;
+use spandrel_bus::{CredibleInterval, ModeDisplay, ModeState, Name, ParameterDisplay};
+use spandrel_modal::{
+    ModalError, PartModel, SeenMode, StiffnessChange, StiffnessUpdate, UpdateReference, UpdateState,
+};
+use spandrel_structure::{Structure, UpdatePlan};
+
+/// The stiffnesses that the declared modes of a structure update.
+#[derive(Debug, Clone)]
+pub struct Stiffnesses {
+    structure: Name,
+    names: Vec<Name>,
+    /// Names of the channels of the model, in its order.
+    channels: Vec<String>,
+    update: StiffnessUpdate,
+    last: Option<StiffnessChange>,
+}
+
+impl Stiffnesses {
+    /// Creates the stiffnesses of a structure before its commissioning. `None` if natural
+    /// frequencies do not update them.
+    ///
+    /// # Errors
+    /// The name of a parameter cannot be a key, or the matrices of the model do not fit, which
+    /// reading the structure file has excluded.
+    pub fn new(structure: &Structure) -> Result<Option<Self>, ModesError> {
+        let Some(modal) = structure.modal() else {
+            return Ok(None);
+        };
+        let (Some(plan), Some(model)) = (&modal.update, structure.part_model()) else {
+            return Ok(None);
+        };
+        let name = Name::new(structure.name()).map_err(|source| ModesError::Name {
+            found: structure.name().to_owned(),
+            source,
+        })?;
+        Self::of_parts(name, plan, &modal.names, model?).map(Some)
+    }
+
+    fn of_parts(
+        structure: Name,
+        plan: &UpdatePlan,
+        channels: &[String],
+        model: PartModel,
+    ) -> Result<Self, ModesError> {
+        let names = plan.parts.iter().map(|part| {
+            Name::new(part).map_err(|source| ModesError::Name {
+                found: part.clone(),
+                source,
+            })
+        });
+        Ok(Self {
+            structure,
+            names: names.collect::<Result<_, _>>()?,
+            channels: channels.to_vec(),
+            update: StiffnessUpdate::new(model, plan.settings.clone())?,
+            last: None,
+        })
+    }
+
+    /// Returns the names of the parameters.
+    #[must_use]
+    pub fn names(&self) -> &[Name] {
+        &self.names
+    }
+
+    /// Returns what the commissioning has taught. `None` before it is over.
+    #[must_use]
+    pub fn reference(&self) -> Option<&UpdateReference> {
+        self.update.reference()
+    }
+
+    /// Returns the model.
+    #[must_use]
+    pub fn model(&self) -> &PartModel {
+        self.update.model()
+    }
+
+    /// Returns the number of epochs of the commissioning so far, and in all.
+    #[must_use]
+    pub fn commissioning(&self) -> (usize, usize) {
+        let all = self.update.settings().commissioning_epochs;
+        match self.update.state() {
+            UpdateState::Commissioning(epochs) => (epochs.len(), all),
+            UpdateState::Following(_) => (all, all),
+        }
+    }
+
+    /// Returns the change since the commissioning in the last epoch. `None` during the commissioning,
+    /// and after an epoch without a usable mode.
+    #[must_use]
+    pub fn last(&self) -> Option<&StiffnessChange> {
+        self.last.as_ref()
+    }
+
+    pub(crate) fn state(&self) -> &UpdateState {
+        self.update.state()
+    }
+
+    pub(crate) fn restore(&mut self, state: UpdateState) {
+        self.update.restore(state);
+        self.last = None;
+    }
+
+    /// Processes the declared modes after an epoch, and returns the messages of the parameters.
+    /// There are none during the commissioning, and none without a usable mode.
+    ///
+    /// # Errors
+    /// The commissioning has no mode of the model and starts again, or a decomposition fails.
+    pub(crate) fn handle(
+        &mut self,
+        displays: &[ModeDisplay],
+    ) -> Result<Vec<ParameterDisplay>, ModalError> {
+        self.last = None;
+        let epoch: Vec<Option<SeenMode>> = displays.iter().map(|mode| self.seen(mode)).collect();
+        let (true, Some(first)) = (epoch.iter().any(Option::is_some), displays.first()) else {
+            return Ok(Vec::new());
+        };
+        let time_ns = first.time_ns;
+        let Some(change) = self.update.handle(epoch)? else {
+            return Ok(Vec::new());
+        };
+        let names = self.names.iter().enumerate();
+        let displays = names.map(|(part, name)| {
+            let ratio = |probability| change.quantile(part, probability).exp();
+            let mean = change.mean(part).exp();
+            ParameterDisplay {
+                structure: self.structure.clone(),
+                parameter: name.clone(),
+                time_ns,
+                mean,
+                std: mean * change.std(part),
+                interval: CredibleInterval {
+                    level: 0.95,
+                    low: ratio(0.025),
+                    high: ratio(0.975),
+                },
+            }
+        });
+        let displays = displays.collect();
+        self.last = Some(change);
+        Ok(displays)
+    }
+
+    /// Returns a mode as the update uses it. `None` if it is missing, cannot be told from another
+    /// one, or a machine runs at its frequency.
+    fn seen(&self, display: &ModeDisplay) -> Option<SeenMode> {
+        let estimate = display.estimate.as_ref();
+        let estimate =
+            estimate.filter(|_| display.state == ModeState::Tracked && !display.machine)?;
+        let seen = SeenMode::new(estimate.frequency_hz, estimate.frequency_std_hz);
+        let of = |channel: &String| {
+            estimate
+                .shape
+                .iter()
+                .find(|value| value.channel == *channel)
+        };
+        let shape: Option<Vec<_>> = self.channels.iter().map(of).collect();
+        let Some(shape) = shape else {
+            return Some(seen); // a channel took no part
+        };
+        let complex = |[re, im]: [f64; 2]| Complex::new(re, im);
+        let values: Vec<_> = shape.iter().map(|value| complex(value.value)).collect();
+        let std: Vec<f64> = shape.iter().map(|value| value.std).collect();
+        Some(seen.with_shape(&values, &std))
+    }
+}
