@@ -4,7 +4,8 @@ use crate::error::ModesError;
 use nalgebra::Complex;
 use spandrel_bus::{CredibleInterval, ModeDisplay, ModeState, Name, ParameterDisplay};
 use spandrel_modal::{
-    ModalError, PartModel, SeenMode, StiffnessChange, StiffnessUpdate, UpdateReference, UpdateState,
+    ModalError, PartModel, SeenMode, StiffnessChange, StiffnessUpdate, UpdateReference,
+    UpdateSettings, UpdateState,
 };
 use spandrel_structure::{Structure, UpdatePlan};
 
@@ -79,6 +80,12 @@ impl Stiffnesses {
         self.update.model()
     }
 
+    /// Returns the settings.
+    #[must_use]
+    pub fn settings(&self) -> &UpdateSettings {
+        self.update.settings()
+    }
+
     /// Returns the number of epochs of the commissioning so far, and in all.
     #[must_use]
     pub fn commissioning(&self) -> (usize, usize) {
@@ -147,7 +154,8 @@ impl Stiffnesses {
 
     /// Returns a mode as the update uses it. `None` if it is missing, cannot be told from another
     /// one, or a machine runs at its frequency.
-    fn seen(&self, display: &ModeDisplay) -> Option<SeenMode> {
+    #[must_use]
+    pub fn seen(&self, display: &ModeDisplay) -> Option<SeenMode> {
         let estimate = display.estimate.as_ref();
         let estimate =
             estimate.filter(|_| display.state == ModeState::Tracked && !display.machine)?;
@@ -166,5 +174,116 @@ impl Stiffnesses {
         let values: Vec<_> = shape.iter().map(|value| complex(value.value)).collect();
         let std: Vec<f64> = shape.iter().map(|value| value.std).collect();
         Some(seen.with_shape(&values, &std))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::name;
+    use spandrel_bus::{ModeEstimate, ShapeValue};
+    use std::path::Path;
+
+    const FILE: &str = include_str!("../../../docs/examples/modes/stiffness.toml");
+
+    fn stiffnesses() -> Stiffnesses {
+        let structure = Structure::parse(FILE, Path::new("stiffness.toml")).unwrap();
+        Stiffnesses::new(&structure).unwrap().unwrap()
+    }
+
+    /// Returns the declared modes of the model at some stiffnesses, after an epoch.
+    fn epoch(of: &Stiffnesses, ln_stiffness: &[f64], number: i64) -> Vec<ModeDisplay> {
+        let x = nalgebra::DVector::from_column_slice(ln_stiffness);
+        let (frequencies, shapes) = of.model().modes(&x).unwrap();
+        let modes = frequencies.iter().zip(shapes.column_iter()).zip(1..);
+        let modes = modes.map(|((frequency_hz, shape), mode)| ModeDisplay {
+            structure: name("stiffness"),
+            mode: name(&format!("sway-{mode}")),
+            time_ns: number,
+            epoch_s: 300.0,
+            epochs: 1,
+            state: ModeState::Tracked,
+            partner: None,
+            estimate: Some(ModeEstimate {
+                frequency_hz: *frequency_hz,
+                frequency_std_hz: 0.002 * frequency_hz,
+                damping: 0.02,
+                damping_std: 0.002,
+                shape: (1..)
+                    .zip(shape.iter())
+                    .map(|(floor, value): (u32, &f64)| ShapeValue {
+                        channel: format!("floor-{floor}"),
+                        value: [*value, 0.0],
+                        std: 0.01 * shape.amax(),
+                    })
+                    .collect(),
+                amplitude: 0.1,
+            }),
+            presence: 1.0,
+            machine: false,
+            declared_hz: *frequency_hz,
+        });
+        modes.collect()
+    }
+
+    /// Passes the commissioning of the example.
+    fn commissioned() -> Stiffnesses {
+        let mut of = stiffnesses();
+        for number in 0..6 {
+            assert_eq!(of.commissioning(), (number as usize, 6));
+            let sound = epoch(&of, &[0.0; 5], number);
+            assert_eq!(of.handle(&sound).unwrap(), []);
+        }
+        of
+    }
+
+    #[test]
+    fn parameters_follow_the_commissioning_as_ratios_to_it() {
+        let mut of = commissioned();
+        let mut lossy = [0.0; 5];
+        lossy[3] = f64::ln(0.8);
+        let displays = epoch(&of, &lossy, 7);
+        let parameters = of.handle(&displays).unwrap();
+        assert_eq!(parameters.len(), 5);
+        for (number, parameter) in parameters.iter().enumerate() {
+            let expected = lossy[number].exp();
+            assert_eq!(
+                parameter.parameter.as_str(),
+                format!("storey-{}", number + 1)
+            );
+            assert_eq!(parameter.time_ns, 7);
+            let interval = parameter.interval;
+            assert!(
+                (interval.low..interval.high).contains(&expected),
+                "{parameter:?}"
+            );
+            assert_eq!(interval.high < 1.0, number == 3, "{parameter:?}");
+        }
+    }
+
+    #[test]
+    fn a_restored_state_gives_the_same_bits() {
+        let mut of = commissioned();
+        let bytes = postcard::to_stdvec(of.state()).unwrap();
+        let mut restored = stiffnesses();
+        restored.restore(postcard::from_bytes(&bytes).unwrap());
+        let displays = epoch(&of, &[-0.1, 0.0, 0.0, 0.05, 0.0], 7);
+        assert_eq!(
+            restored.handle(&displays).unwrap(),
+            of.handle(&displays).unwrap()
+        );
+    }
+
+    #[test]
+    fn missing_paired_and_disturbed_modes_take_no_part() {
+        let mut of = commissioned();
+        let mut displays = epoch(&of, &[0.0; 5], 7);
+        displays[0].estimate = None;
+        displays[1].state = ModeState::Paired;
+        displays[2].machine = true;
+        let seen = displays.iter().map(|display| of.seen(display).is_some());
+        assert_eq!(seen.collect::<Vec<_>>(), [false, false, false, true, true]);
+        assert_eq!(of.handle(&displays[..3]).unwrap(), []);
+        assert!(of.last().is_none());
     }
 }
