@@ -109,7 +109,7 @@ impl UpdateReference {
         };
         let least = LEAST_PRESENCE * epochs.len() as f64;
         let mut modes: Vec<Option<ReferenceMode>> = (0..count)
-            .map(|mode| of_mode(mode))
+            .map(of_mode)
             .map(|seen| {
                 (!seen.is_empty() && seen.len() as f64 >= least).then(|| mean(&seen, model))
             })
