@@ -283,3 +283,83 @@ fn dead_sensors_of_a_floating_bridge_are_named() {
         assert_eq!(channel["reason"], "no sample");
     }
 }
+
+/// Returns the structure file of the test tower, whose modes update a shear chain.
+fn tower(folder: &Path) -> String {
+    let file = folder.join("tower.toml");
+    let text = include_str!("../crates/validate/src/robustness/records/tower-modes.toml");
+    std::fs::write(&file, text).unwrap();
+    file.display().to_string()
+}
+
+#[test]
+fn stiffnesses_of_a_sound_tower_are_consistent_between_its_records() {
+    let folder = tempfile::tempdir().unwrap();
+    let structure = tower(folder.path());
+    for order in [[1, 2, 3], [3, 1, 2], [2, 3, 1]] {
+        let mut files = Vec::new();
+        for number in order {
+            let Some(record) = records_or_skip(&format!("unison-tower/wn_0{number}.dat")) else {
+                return;
+            };
+            files.push(record.display().to_string());
+        }
+        // The first two records are the commissioning, and the last one is judged.
+        let mut arguments: Vec<&str> = files.iter().map(String::as_str).collect();
+        arguments.extend([structure.as_str(), "--json"]);
+        let found = json(&arguments);
+        let reference = &found["stiffness"]["reference"];
+        assert_eq!(
+            reference["modes_of_model"],
+            serde_json::json!([1, 2, 3, 4, 5])
+        );
+        let epochs = found["stiffness"]["epochs"].as_array().unwrap();
+        assert_eq!(epochs.len(), 1, "{found}");
+        for parameter in epochs[0]["parameters"].as_array().unwrap() {
+            let number = |key: &str| parameter[key].as_f64().unwrap();
+            assert!(
+                number("low") < 1.0 && number("high") > 1.0,
+                "{order:?}: {parameter}"
+            );
+            assert!(
+                number("high") - number("low") < 0.3,
+                "{order:?}: {parameter}"
+            );
+            assert_eq!(parameter["raised"], false, "{order:?}: {parameter}");
+        }
+    }
+}
+
+#[test]
+fn a_loss_of_one_storey_is_found_by_the_modes_and_in_no_other_storey() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = folder.path().join("record.csv").display().to_string();
+    let structure = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../docs/examples/modes/stiffness.toml"
+    );
+    let simulated = Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .args([
+            "simulate",
+            structure,
+            "--duration",
+            "3000",
+            "--record",
+            &record,
+        ])
+        .output()
+        .unwrap();
+    assert!(simulated.status.success(), "{simulated:?}");
+    let found = json(&[&record, structure, "--json"]);
+    let epochs = found["stiffness"]["epochs"].as_array().unwrap();
+    let last = epochs.last().unwrap();
+    for parameter in last["parameters"].as_array().unwrap() {
+        let raised = parameter["parameter"] == "storey-2";
+        assert_eq!(parameter["raised"], raised, "{last}");
+    }
+    let text = done(&[&record, structure]);
+    assert!(
+        text.contains("stiffness: commissioned in 6 epochs"),
+        "{text}"
+    );
+}

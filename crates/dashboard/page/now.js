@@ -26,7 +26,7 @@ export class NowTab {
     const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));
     this.search = searchField(about.parameters.length, "Find a part", () => this.update(page.standing()));
     this.worst = h("section", { class: "card worst", hidden: !about.has_model });
-    const parts = h("section", { class: "card parts", hidden: !about.has_model }, h("div", { class: "card-head" }, h("h2", {}, "Parts"), this.search.element), table);
+    const parts = h("section", { class: "card parts", hidden: about.parameters.length === 0 }, h("div", { class: "card-head" }, h("h2", {}, "Parts"), this.search.element), table);
     this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
     this.noJudgement = h("p", { class: "group-text" }, "The service judge has not reported yet.");
     const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, "Lasting change"), this.noJudgement, this.judgements);

@@ -122,7 +122,7 @@ impl About {
             description: structure.description().to_owned(),
             sampling_rate_hz: structure.sampling_rate_hz(),
             display_rate_hz: structure.display_rate_hz(),
-            has_model: structure.has_model(),
+            has_model: structure.is_filtered(),
             distributed: structure.fusion().is_some(),
             parameters: parameters.collect(),
             noise: noise.collect(),
@@ -132,7 +132,7 @@ impl About {
             rules: rules.collect(),
             drawing: structure.drawing(),
             observed: match structure.modal() {
-                Some(plan) if !structure.has_model() => plan.channels.clone(),
+                Some(plan) if !structure.is_filtered() => plan.channels.clone(),
                 _ => structure.observation_channels().to_vec(),
             },
         }

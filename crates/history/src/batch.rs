@@ -120,6 +120,8 @@ pub(crate) struct Collector {
     repeatable: Vec<(Series, i64, [f64; 3])>,
     /// Time of the last message of each mode (ns), which is repeated for late subscribers.
     modes: BTreeMap<String, i64>,
+    /// Time of the last message of each parameter (ns). The service modes repeats it.
+    parameters: BTreeMap<String, i64>,
     happened: Vec<Happened>,
     /// Time of the newest display value (ns since the Unix epoch, UTC).
     pub(crate) newest_ns: Option<i64>,
@@ -169,6 +171,7 @@ impl Collector {
             points: Vec::new(),
             repeatable: Vec::new(),
             modes: BTreeMap::new(),
+            parameters: BTreeMap::new(),
             happened: Vec::new(),
             newest_ns: None,
             unknown: 0,
@@ -190,6 +193,11 @@ impl Collector {
     pub(crate) fn handle(&mut self, input: Input) {
         match input {
             Input::Parameter(m) => {
+                let name = m.parameter.as_str();
+                if self.parameters.get(name) == Some(&m.time_ns) {
+                    return; // repeated for late subscribers
+                }
+                self.parameters.insert(name.to_owned(), m.time_ns);
                 self.push(
                     Kind::Parameter,
                     m.parameter.as_str(),

@@ -44,6 +44,9 @@ pub(crate) struct Sources {
     pub(crate) quantities: Vec<Option<QuantitySource>>,
     /// Conditions, in the order of the settings.
     pub(crate) conditions: Vec<ConditionSource>,
+    /// Whether natural frequencies update the parameters. No alert service then reports on the
+    /// monitoring.
+    pub(crate) is_updated: bool,
 }
 
 /// Where the live values of a quantity come from.
@@ -116,6 +119,8 @@ pub(crate) struct Epochs {
     newest_ns: Option<i64>,
     /// Time of the last message of each mode, which is repeated (ns).
     modes: BTreeMap<Name, i64>,
+    /// Time of the last message of each parameter (ns).
+    parameters: BTreeMap<Name, i64>,
     refused: BTreeMap<&'static str, u64>,
 }
 
@@ -168,6 +173,7 @@ impl Epochs {
             clock_ns: i64::MAX,
             newest_ns: closed_ns,
             modes: BTreeMap::new(),
+            parameters: BTreeMap::new(),
             refused: BTreeMap::new(),
             sources,
         }
@@ -220,6 +226,12 @@ impl Epochs {
         if self.is_ahead(display.time_ns) {
             return Err("ahead-of-clock-estimates");
         }
+        let last = self
+            .parameters
+            .insert(display.parameter.clone(), display.time_ns);
+        if self.sources.is_updated && last == Some(display.time_ns) {
+            return Ok(()); // repeated for late subscribers
+        }
         let number = display.time_ns.div_euclid(self.sources.length_ns);
         if self.closed.is_some_and(|closed| number <= closed) {
             return Err("late-estimates");
@@ -227,7 +239,7 @@ impl Epochs {
         self.newest_ns = self.newest_ns.max(Some(display.time_ns));
         self.close_before(number.saturating_sub(1), closed);
         let is_measured = self.is_measured.ok_or("estimates-of-unknown-origin")?;
-        if !self.is_sighted(&display.parameter) {
+        if !self.sources.is_updated && !self.is_sighted(&display.parameter) {
             return Err("blind-estimates");
         }
         if display.mean.is_nan() || display.mean <= 0.0 {

@@ -535,6 +535,7 @@ fn sources(structure: &Structure, plan: &JudgePlan) -> Result<Sources, JudgingEr
         })
     });
     Ok(Sources {
+        is_updated: structure.has_model() && !structure.is_filtered(),
         length_ns: i64::from(plan.epoch_s).saturating_mul(1_000_000_000),
         quantities: sources.collect::<Result<_, JudgingError>>()?,
         conditions: conditions.collect::<Result<_, JudgingError>>()?,

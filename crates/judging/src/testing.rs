@@ -19,6 +19,7 @@ pub(crate) fn name(text: &str) -> Name {
 /// Returns one parameter, one quantity without live values, and one temperature of the deck.
 pub(crate) fn sources() -> Sources {
     Sources {
+        is_updated: false,
         length_ns: i64::from(EPOCH_S) * S,
         quantities: vec![Some(QuantitySource::Parameter(name("pier"))), None],
         conditions: vec![ConditionSource {

@@ -74,8 +74,14 @@ pub enum ModalError {
         /// Number of channels.
         channels: usize,
     },
-    /// The output covariances of an epoch have no decomposition.
-    #[error("the {what} of the epoch did not converge")]
+    /// The matrices of a model do not fit each other, or its mass is not positive definite.
+    #[error("the matrices of the model differ in size, or its mass is not positive definite")]
+    Model,
+    /// No declared mode is one of the model.
+    #[error("no declared mode resembles a mode of the model in frequency and shape")]
+    NoModelMode,
+    /// The output covariances of an epoch, or the matrices of a model, have no decomposition.
+    #[error("the {what} did not converge")]
     NotConverged {
         /// The decomposition.
         what: &'static str,

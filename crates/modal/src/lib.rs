@@ -38,9 +38,10 @@
 //! - [`identify()`]: from an epoch to [`Mode`]s, with uncertainty
 //! - [`Tracker`]: assigns the modes of each epoch to known ones, and proposes new ones
 //! - [`RecordModes`]: all of this for a recording
+//! - [`StiffnessUpdate`]: with a model, the change of the stiffness of each part from these modes
 //!
-//! The crate contains only maths: no files, no clock, no log. For the stiffness of parts of a
-//! structure with a model, use `spandrel-filter`.
+//! The crate contains only maths: no files, no clock, no log. If the excitation is measured,
+//! `spandrel-filter` determines the stiffness of the parts at the sampling rate.
 
 mod cluster;
 mod covariance;
@@ -59,6 +60,7 @@ mod shape;
 mod spectrum;
 mod stream;
 mod tracking;
+mod updating;
 
 pub use covariance::EpochCovariances;
 pub use epoch_stream::{EpochStream, LONGEST_GAP_S};
@@ -78,4 +80,8 @@ pub use stream::{ChannelUse, Epoch, MOST_MISSING, ModalStream};
 pub use tracking::{
     Assignment, LEAST_PRESENCE, LOST_AFTER, ModeId, PRESENCE_WINDOW, TrackEvent, TrackedMode,
     Tracker,
+};
+pub use updating::{
+    Entry, PartModel, SeenMode, StiffnessChange, StiffnessUpdate, UpdatePrecision, UpdateReference,
+    UpdateSettings, UpdateState,
 };

@@ -6,11 +6,14 @@
 //! anew with that one. Other modes that persist are proposed, and never adopted.
 
 use crate::error::ModesError;
+use crate::stiffness::Stiffnesses;
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{Event, EventKind, ModeDisplay, ModeEstimate, ModeState, Name, ShapeValue};
+use spandrel_bus::{
+    Event, EventKind, ModeDisplay, ModeEstimate, ModeState, Name, ParameterDisplay, ShapeValue,
+};
 use spandrel_modal::{
     Assignment, CERTAIN_DAMPING, LEAST_PRESENCE, LOST_AFTER, LadderEpoch, LadderModes, Mode,
-    ModeId, PRESENCE_WINDOW, SAME_MACHINE, Source, TrackEvent, Tracker,
+    ModeId, PRESENCE_WINDOW, SAME_MACHINE, Source, TrackEvent, Tracker, UpdateState,
 };
 use spandrel_structure::{DeclaredMode, ModalPlan};
 use std::collections::VecDeque;
@@ -38,6 +41,8 @@ pub struct EpochOver<'e> {
 pub enum ModesOutput {
     /// A declared mode after an epoch.
     Mode(Box<ModeDisplay>),
+    /// A parameter that the modes have updated.
+    Parameter(Box<ParameterDisplay>),
     /// A mode was proposed, lost, found, paired or parted.
     Event(Event),
 }
@@ -49,6 +54,7 @@ pub struct DeclaredModes {
     names: Vec<Name>,
     modes: Vec<DeclaredMode>,
     channels: Vec<String>,
+    stiffnesses: Option<Stiffnesses>,
     state: DeclaredState,
 }
 
@@ -62,6 +68,11 @@ pub(crate) struct DeclaredState {
     proposals: VecDeque<f64>,
     epochs: u64,
     displays: Vec<ModeDisplay>,
+    parameters: Vec<ParameterDisplay>,
+    /// Number of epochs that have failed to update the stiffnesses.
+    failed_updates: u64,
+    /// Only in a checkpoint. [`Stiffnesses`] has it otherwise.
+    update: Option<UpdateState>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -88,6 +99,9 @@ impl DeclaredState {
             proposals: VecDeque::new(),
             epochs: 0,
             displays: Vec::new(),
+            parameters: Vec::new(),
+            failed_updates: 0,
+            update: None,
         }
     }
 }
@@ -123,8 +137,36 @@ impl DeclaredModes {
             names: names.collect::<Result<_, _>>()?,
             modes: plan.modes.clone(),
             channels: plan.names.clone(),
+            stiffnesses: None,
             state: DeclaredState::new(plan.modes.len()),
         })
+    }
+
+    /// Lets the modes update stiffnesses, if there are any.
+    #[must_use]
+    pub fn updating(self, stiffnesses: Option<Stiffnesses>) -> Self {
+        Self {
+            stiffnesses,
+            ..self
+        }
+    }
+
+    /// Returns the stiffnesses that the modes update.
+    #[must_use]
+    pub fn stiffnesses(&self) -> Option<&Stiffnesses> {
+        self.stiffnesses.as_ref()
+    }
+
+    /// Returns the parameters after the last epoch. Empty during the commissioning.
+    #[must_use]
+    pub fn parameters(&self) -> &[ParameterDisplay] {
+        &self.state.parameters
+    }
+
+    /// Returns the number of epochs that have failed to update the stiffnesses.
+    #[must_use]
+    pub fn failed_updates(&self) -> u64 {
+        self.state.failed_updates
     }
 
     /// Returns the names of the modes.
@@ -145,20 +187,28 @@ impl DeclaredModes {
         self.state.epochs
     }
 
-    pub(crate) fn state(&self) -> &DeclaredState {
-        &self.state
+    pub(crate) fn state(&self) -> DeclaredState {
+        DeclaredState {
+            update: self.stiffnesses.as_ref().map(|of| of.state().clone()),
+            ..self.state.clone()
+        }
     }
 
     /// Returns `false` if the state is one of other modes. Nothing changes then.
-    pub(crate) fn restore(&mut self, state: DeclaredState) -> bool {
+    pub(crate) fn restore(&mut self, mut state: DeclaredState) -> bool {
         let fits = state.modes.len() == self.modes.len();
         if fits {
+            if let Some((stiffnesses, update)) = self.stiffnesses.as_mut().zip(state.update.take())
+            {
+                stiffnesses.restore(update);
+            }
             self.state = state;
         }
         fits
     }
 
-    /// Forgets all epochs.
+    /// Forgets all epochs, except for the commissioning of the stiffnesses. The structure is the
+    /// same in another run of its frames.
     pub(crate) fn clear(&mut self) {
         self.state = DeclaredState::new(self.modes.len());
     }
@@ -186,6 +236,7 @@ impl DeclaredModes {
             .collect();
         let displays = self.state.displays.iter().cloned();
         outputs.extend(displays.map(|display| ModesOutput::Mode(Box::new(display))));
+        self.update_stiffnesses(outputs);
         outputs.extend(told.into_iter().map(|told| {
             ModesOutput::Event(Event {
                 structure: self.structure.clone(),
@@ -196,6 +247,22 @@ impl DeclaredModes {
                 why: told.why,
             })
         }));
+    }
+
+    /// Updates the stiffnesses by the modes of an epoch.
+    fn update_stiffnesses(&mut self, outputs: &mut Vec<ModesOutput>) {
+        let Some(stiffnesses) = &mut self.stiffnesses else {
+            return;
+        };
+        match stiffnesses.handle(&self.state.displays) {
+            Ok(parameters) if parameters.is_empty() => {} // the last ones stay the newest
+            Ok(parameters) => {
+                let messages = parameters.iter().cloned().map(Box::new);
+                outputs.extend(messages.map(ModesOutput::Parameter));
+                self.state.parameters = parameters;
+            }
+            Err(_) => self.state.failed_updates += 1,
+        }
     }
 
     /// Gives up a lost mode if another one persists near its declared frequency.

@@ -2,6 +2,7 @@
 
 use crate::declared::{DeclaredModes, DeclaredState, EpochOver, ModesOutput};
 use crate::error::ModesError;
+use crate::stiffness::Stiffnesses;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{Block, Delivery, FrameBlock, Gap, Name, Start, TimeGrid};
 use spandrel_modal::EpochStream;
@@ -40,13 +41,17 @@ pub(crate) struct FollowingState {
 
 impl FollowingState {
     /// Version of the layout. Every change of a field here or in the nested states must increase it.
-    pub(crate) const VERSION: u16 = 1;
+    pub(crate) const VERSION: u16 = 2;
 }
 
 impl Following {
-    pub(crate) fn new(structure: &Name, plan: &ModalPlan) -> Result<Self, ModesError> {
+    pub(crate) fn new(
+        structure: &Name,
+        plan: &ModalPlan,
+        stiffnesses: Option<Stiffnesses>,
+    ) -> Result<Self, ModesError> {
         Ok(Self {
-            declared: DeclaredModes::new(structure, plan)?,
+            declared: DeclaredModes::new(structure, plan)?.updating(stiffnesses),
             epochs: plan.stream()?,
             position: None,
             unidentified: 0,
@@ -57,7 +62,7 @@ impl Following {
 
     pub(crate) fn state(&self) -> FollowingState {
         FollowingState {
-            declared: self.declared.state().clone(),
+            declared: self.declared.state(),
             epochs: self.epochs.clone(),
             position: self.position,
             unidentified: self.unidentified,

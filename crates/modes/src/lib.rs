@@ -2,19 +2,22 @@
 //!
 //! Takes the frames of ingest and the table `[modal]` of the structure file. Publishes frequency,
 //! damping ratio and shape of each declared mode after each epoch, and proposes modes that are not
-//! declared. No excitation is measured and no model is used.
+//! declared. No excitation is measured. If the file asks for it, the modes update the stiffnesses of
+//! its model, which are published as parameters.
 //!
 //! `spandrel modes` uses the same core for a recording, so both give the same modes, bit for bit.
 //!
 //! - [`DeclaredModes`]: the modes of an epoch in, messages and events out
+//! - [`Stiffnesses`]: with a model, the stiffness of its parts from the declared modes
 //! - `following`: frames and gaps in, messages and events out, without clock or network
 //! - [`ModesService`], [`ModesPlan`]: the service
 //!
-//! The identification of an epoch is in `spandrel-modal`. For the stiffness of parts of a structure
-//! with a model, use `spandrel-identify`.
+//! The identification of an epoch is in `spandrel-modal`. If the excitation is
+//! measured, `spandrel-identify` estimates the parameters from every frame.
 
 mod declared;
 mod following;
+mod stiffness;
 
 mod error;
 mod memory;
@@ -26,3 +29,4 @@ mod testing;
 pub use declared::{DeclaredModes, EpochOver, ModesOutput};
 pub use error::ModesError;
 pub use service::{ModesPlan, ModesService};
+pub use stiffness::Stiffnesses;

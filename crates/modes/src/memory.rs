@@ -4,7 +4,6 @@ use crate::error::ModesError;
 use crate::following::{Following, FollowingState};
 use spandrel_bus::Keys;
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
-use spandrel_structure::ModalPlan;
 use std::collections::BTreeMap;
 use tracing::info;
 
@@ -15,17 +14,17 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    /// Opens the folder. Checkpoints of another table `[modal]`, or of other channels, do not count.
+    /// Opens the folder. Checkpoints of another `basis` do not count.
     pub(crate) fn open(
         keys: &Keys,
-        plan: &ModalPlan,
+        basis: String,
         remembering: &Remembering,
     ) -> Result<Self, ModesError> {
         let identity = Identity {
             kind: "modes",
             version: FollowingState::VERSION,
             of: keys.structure().to_string(),
-            basis: format!("{plan:?}"),
+            basis,
         };
         let checkpoints = Checkpoints::open(&remembering.folder, identity)?;
         Ok(Self {

@@ -4,9 +4,10 @@ use crate::declared::ModesOutput;
 use crate::error::ModesError;
 use crate::following::Following;
 use crate::memory::Memory;
+use crate::stiffness::Stiffnesses;
 use spandrel_bus::{
     BoxedFuture, Delivery, DisplayPublisher, FrameBlock, LiveToken, ModeDisplay, Name,
-    ProgressPublisher, Service, Stream,
+    ParameterDisplay, ProgressPublisher, Service, Stream,
 };
 use spandrel_service::{
     EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
@@ -40,6 +41,7 @@ pub struct ModesService {
     core: Option<Following>,
     frames: Stream<FrameBlock>,
     topics: BTreeMap<Name, DisplayPublisher<ModeDisplay>>,
+    parameters: BTreeMap<Name, DisplayPublisher<ParameterDisplay>>,
     events: EventPublisher,
     status: StatusPublisher,
     /// Without a model, sources wait for it.
@@ -86,10 +88,20 @@ impl ModesService {
             let plan = structure.modal().ok_or_else(|| ModesError::NotFollowed {
                 structure: structure.name().to_owned(),
             })?;
-            let mut core = Following::new(keys.structure(), plan)?;
+            let stiffnesses = Stiffnesses::new(structure)?;
+            let updated = stiffnesses.iter().flat_map(Stiffnesses::names).cloned();
+            let updated: Vec<Name> = updated.collect();
+            let mut core = Following::new(keys.structure(), plan, stiffnesses)?;
             let memory = match remembering {
                 Some(remembering) => {
-                    let memory = Memory::open(keys, plan, remembering)?;
+                    // Only the update of stiffnesses depends on the model.
+                    let of_model = match structure.modal().is_some_and(|plan| plan.update.is_some())
+                    {
+                        true => structure.identification_basis(),
+                        false => String::new(),
+                    };
+                    let basis = format!("{plan:?}{of_model}");
+                    let memory = Memory::open(keys, basis, remembering)?;
                     tokio::task::block_in_place(|| memory.recall(&mut core));
                     Some(memory)
                 }
@@ -100,6 +112,11 @@ impl ModesService {
             for name in core.declared().names() {
                 let topic = bus.publish_display(keys.mode(name)).await?;
                 topics.insert(name.clone(), topic);
+            }
+            let mut parameters = BTreeMap::new();
+            for name in updated {
+                let topic = bus.publish_display(keys.parameter(&name)).await?;
+                parameters.insert(name, topic);
             }
             let (channels, rate_hz) = (structure.channel_count(), structure.sampling_rate_hz());
             let is_of_structure = move |block: &FrameBlock| match usize::from(block.channels)
@@ -128,6 +145,7 @@ impl ModesService {
                 core: Some(core),
                 progress,
                 topics,
+                parameters,
                 events: EventPublisher::declare(bus, keys).await?,
                 status: instance.publish_status(Service::Modes, keys).await?,
                 token: instance.announce(Service::Modes, keys).await?,
@@ -197,6 +215,7 @@ impl ModesService {
         for output in outputs {
             match output {
                 ModesOutput::Mode(display) => self.put_mode(&display).await?,
+                ModesOutput::Parameter(display) => self.put_parameter(&display).await?,
                 ModesOutput::Event(event) => self.events.put(&event).await?,
             }
         }
@@ -214,7 +233,21 @@ impl ModesService {
         for display in displays {
             self.put_mode(display).await?;
         }
+        let parameters = self
+            .core
+            .iter()
+            .flat_map(|core| core.declared().parameters());
+        for display in parameters {
+            self.put_parameter(display).await?;
+        }
         Ok(())
+    }
+
+    async fn put_parameter(&self, display: &ParameterDisplay) -> Result<(), ModesError> {
+        match self.parameters.get(&display.parameter) {
+            Some(topic) => Ok(topic.put(display).await?),
+            None => Ok(()), // every parameter has a topic
+        }
     }
 
     async fn put_mode(&self, display: &ModeDisplay) -> Result<(), ModesError> {
@@ -234,6 +267,10 @@ impl ModesService {
         let unidentified = core.map_or(0, Following::unidentified);
         if unidentified > 0 {
             drops.insert("unidentified-epochs".to_owned(), unidentified);
+        }
+        let failed = core.map_or(0, |core| core.declared().failed_updates());
+        if failed > 0 {
+            drops.insert("failed-updates".to_owned(), failed);
         }
         let report = Report {
             done: core

@@ -30,6 +30,7 @@ pub(crate) fn plan(modes: &[(&str, f64)]) -> ModalPlan {
         channels: (1..CHANNELS).collect(),
         names: vec!["floor-1".to_owned(), "floor-2".to_owned()],
         modes: declared.collect(),
+        update: None,
     }
 }
 

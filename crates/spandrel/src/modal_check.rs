@@ -1,5 +1,5 @@
-//! Report of a check of a structure without a model, as text for people and as JSON: what its
-//! natural frequencies can tell, and what they cannot.
+//! Report of a check of a structure without a model, or whose model natural frequencies update, as
+//! text for people and as JSON: what its natural frequencies can tell, and what they cannot.
 //!
 //! The JSON object has the following fields:
 //!
@@ -10,20 +10,27 @@
 //!   range in which it is first looked for, `frequency_std_hz` (the smallest standard deviation of
 //!   one epoch at a damping ratio of `damping`), `stiffness_std` (the share of the stiffness that
 //!   corresponds to it), and whether it is `judged`
+//! - `parameters`: the stiffnesses that the modes update, with `name`, `change_std` (standard deviation
+//!   of the relative change that one epoch shows), and `smallest_loss` (the loss that one epoch shows
+//!   with a probability of 0.99 in half of the cases; null if the modes do not see it)
 //! - `can_tell`, `cannot_tell`, `warnings`: sentences
 
 use crate::commands::counted;
 use crate::error::AppError;
+use crate::modes::stiffness::trading;
 use serde::Serialize;
 use spandrel_judge::QuantityKind;
-use spandrel_modal::{ModalSettings, smallest_uncertainty};
-use spandrel_structure::{ModalPlan, Structure};
+use spandrel_modal::{ModalSettings, UpdatePrecision, UpdateReference, smallest_uncertainty};
+use spandrel_structure::{ModalPlan, Structure, UpdatePlan};
 use std::fmt;
 
 /// Damping ratio for which uncertainties are stated: that of many bridges and tall buildings.
 const DAMPING: f64 = 0.01;
 
-/// The report of a checked structure without a model.
+/// Standard deviation of a value of a shape in one epoch, relative to its largest value.
+const SHAPE_STD: f64 = 0.02;
+
+/// The report of a checked structure whose natural frequencies are followed.
 #[derive(Debug, Clone, Serialize)]
 pub struct ModalCheckPage {
     structure: String,
@@ -36,8 +43,10 @@ pub struct ModalCheckPage {
     damping: f64,
     bands: Vec<Band>,
     modes: Vec<ModeLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    parameters: Vec<PartLine>,
     can_tell: Vec<String>,
-    cannot_tell: Vec<&'static str>,
+    cannot_tell: Vec<String>,
     warnings: Vec<String>,
 }
 
@@ -57,6 +66,13 @@ struct ModeLine {
     frequency_std_hz: f64,
     stiffness_std: f64,
     judged: bool,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct PartLine {
+    name: String,
+    change_std: f64,
+    smallest_loss: Option<f64>,
 }
 
 impl ModalCheckPage {
@@ -97,7 +113,7 @@ impl ModalCheckPage {
         });
         let modes: Vec<ModeLine> = modes.collect();
         let channels = plan.channels.len();
-        Ok(Self {
+        Self {
             structure: structure.name().to_owned(),
             description: structure.description().to_owned(),
             sampling_rate_hz: structure.sampling_rate_hz(),
@@ -108,14 +124,69 @@ impl ModalCheckPage {
             damping: DAMPING,
             bands: bands.collect(),
             can_tell: can_tell(structure, channels, &modes),
-            cannot_tell: vec![
-                "which part of the structure has changed",
-                "stiffnesses, displacements, strains and forces",
-                "changes that last for less than an epoch",
-            ],
+            cannot_tell: cannot_tell(plan.update.as_ref()),
             warnings: warnings(&modes),
             modes,
-        })
+            parameters: Vec::new(),
+        }
+        .with_parts(structure, plan)
+    }
+
+    /// Adds which parts the modes see, if they update stiffnesses.
+    fn with_parts(mut self, structure: &Structure, plan: &ModalPlan) -> Result<Self, AppError> {
+        let (Some(update), Some(model)) = (&plan.update, structure.part_model()) else {
+            return Ok(self);
+        };
+        let model = model.map_err(spandrel_modes::ModesError::from)?;
+        // The law of Au with the damping of the model.
+        let modes = plan.modes.iter().map(|mode| {
+            let damping = structure.damping_ratio_near(mode.frequency_hz);
+            let damping = damping.unwrap_or(DAMPING);
+            let law = smallest_uncertainty(mode.frequency_hz, damping, self.epoch_s);
+            (mode.frequency_hz, law.frequency_hz)
+        });
+        let modes: Vec<(f64, f64)> = modes.collect();
+        let has_shapes = model.channels() > 0;
+        let shape_std = has_shapes.then_some(SHAPE_STD);
+        let expected = UpdateReference::expected(&model, &update.settings, &modes, shape_std);
+        let expected = match expected {
+            Ok(expected) => expected,
+            Err(error) => {
+                self.warnings
+                    .push(format!("stiffnesses are not updated: {error}"));
+                return Ok(self);
+            }
+        };
+        let precision = expected
+            .precision(&model)
+            .map_err(spandrel_modes::ModesError::from)?;
+        let names = update.parts.iter().enumerate();
+        self.parameters = names
+            .map(|(part, name)| PartLine {
+                name: name.clone(),
+                change_std: precision.std(part),
+                smallest_loss: precision.smallest_loss(part),
+            })
+            .collect();
+        if !has_shapes {
+            self.warnings.push(
+                "the channels measure different derivatives of the motion, so that only frequencies \
+                 update the stiffnesses"
+                    .to_owned(),
+            );
+        }
+        for (mode, of_model) in plan.modes.iter().zip(expected.of_model()) {
+            if of_model.is_none() {
+                self.warnings.push(format!(
+                    "{} resembles no mode of the model and does not update it",
+                    mode.name
+                ));
+            }
+        }
+        let names: Vec<&str> = update.parts.iter().map(String::as_str).collect();
+        self.cannot_tell.extend(unseen(&self.parameters));
+        self.warnings.extend(trading(&precision, &names));
+        Ok(self)
     }
 
     /// Returns the report as one line with a JSON object.
@@ -123,6 +194,36 @@ impl ModalCheckPage {
         // Cannot fail, because the object contains only names and numbers.
         serde_json::to_string(self).map_or_else(|error| error.to_string(), |line| line + "\n")
     }
+}
+
+/// Names the parts that the modes do not see.
+fn unseen(parts: &[PartLine]) -> Option<String> {
+    let unseen = parts.iter().filter(|part| part.smallest_loss.is_none());
+    let unseen: Vec<&str> = unseen.map(|part| part.name.as_str()).collect();
+    (!unseen.is_empty()).then(|| {
+        format!(
+            "changes of {}, which the declared modes hardly show",
+            unseen.join(", ")
+        )
+    })
+}
+
+fn cannot_tell(update: Option<&UpdatePlan>) -> Vec<String> {
+    let of_parts = match update {
+        None => [
+            "which part of the structure has changed",
+            "stiffnesses, displacements, strains and forces",
+        ]
+        .as_slice(),
+        Some(_) => [
+            "displacements, strains and forces",
+            "whether all parts have changed alike, or the temperature",
+        ]
+        .as_slice(),
+    };
+    let mut all: Vec<String> = of_parts.iter().map(|text| (*text).to_owned()).collect();
+    all.push("changes that last for less than an epoch".to_owned());
+    all
 }
 
 fn can_tell(structure: &Structure, channels: usize, modes: &[ModeLine]) -> Vec<String> {
@@ -134,6 +235,13 @@ fn can_tell(structure: &Structure, channels: usize, modes: &[ModeLine]) -> Vec<S
         .filter(|mode| mode.judged)
         .map(|mode| mode.name.as_str())
         .collect();
+    if let Some(update) = structure.modal().and_then(|plan| plan.update.as_ref()) {
+        all.push(format!(
+            "the change of {} after each epoch, after a commissioning of {} epochs",
+            counted(update.parts.len(), "stiffness", "stiffnesses"),
+            update.settings.commissioning_epochs,
+        ));
+    }
     if let (Some(plan), false) = (structure.judge(), judged.is_empty()) {
         let days = plan.settings.commissioning_days;
         all.push(format!(
@@ -181,9 +289,13 @@ impl fmt::Display for ModalCheckPage {
             ": "
         };
         writeln!(f, "{}{separator}{}", self.structure, self.description)?;
+        let kind = match self.parameters.is_empty() {
+            true => "no model: natural frequencies only",
+            false => "natural frequencies update the model",
+        };
         writeln!(
             f,
-            "no model: natural frequencies only; {} on {}, {} Hz",
+            "{kind}; {} on {}, {} Hz",
             counted(self.channels, "channel", "channels"),
             counted(self.nodes, "node", "nodes"),
             self.sampling_rate_hz
@@ -201,6 +313,9 @@ impl fmt::Display for ModalCheckPage {
         }
         if !self.modes.is_empty() {
             self.write_modes(f)?;
+        }
+        if !self.parameters.is_empty() {
+            self.write_parts(f)?;
         }
         writeln!(f)?;
         for text in &self.can_tell {
@@ -220,6 +335,25 @@ impl fmt::Display for ModalCheckPage {
 }
 
 impl ModalCheckPage {
+    fn write_parts(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names = self.parameters.iter().map(|part| part.name.len());
+        let width = names.max().unwrap_or(0).max("parameter".len());
+        writeln!(f, "\n  {:width$}  ± change (%)  least seen", "parameter")?;
+        for part in &self.parameters {
+            let least = match part.smallest_loss {
+                Some(loss) => format!("{:.0} %", 100.0 * loss),
+                None => "none".to_owned(),
+            };
+            let (name, std) = (&part.name, 100.0 * part.change_std);
+            writeln!(f, "  {name:width$}  {std:>12.1}  {least:>10}")?;
+        }
+        writeln!(
+            f,
+            "\n  least seen: loss that one epoch shows with a probability of {} in half of the cases",
+            UpdatePrecision::found_at(),
+        )
+    }
+
     fn write_modes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let names = self.modes.iter().map(|mode| mode.name.len());
         let width = names.max().unwrap_or(0).max("declared mode".len());

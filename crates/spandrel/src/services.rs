@@ -427,6 +427,13 @@ impl Running {
                 );
                 continue;
             }
+            if !structure.is_filtered() {
+                info!(
+                    structure = structure.name(),
+                    "no filter: natural frequencies update the stiffnesses"
+                );
+                continue;
+            }
             if structure.fusion().is_none() {
                 let plan = IdentifyPlan {
                     instance: instance.clone(),
@@ -479,7 +486,7 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the alert service of each structure with a model, with its baseline if there is one.
+    /// Starts the alert service of each structure that a filter estimates, with its baseline if there is one.
     ///
     /// # Errors
     /// An instance cannot start.
@@ -490,8 +497,8 @@ impl Running {
             .into_iter()
             .zip(self.baselines.clone())
         {
-            if !monitored.structure.has_model() {
-                continue; // without parameters, no rule can be satisfied
+            if !monitored.structure.is_filtered() {
+                continue; // without estimates, no rule can be decided
             }
             let of = monitored.structure.name().to_owned();
             let plan = AlertPlan {

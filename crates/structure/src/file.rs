@@ -309,7 +309,12 @@ impl<'t> StructureFile<'t> {
             )),
             section => section,
         };
-        let modal = modal::read_modal(modal, head.rate_hz, &nodes);
+        let updatable = modal::Updatable {
+            parameters: (declared == parameters.len()).then_some(&parameters[..]),
+            is_linear: !is_modal && system.is_none_or(|system| system.hysteresis.is_none()),
+            is_distributed: head.distributed.as_ref().is_some_and(|is| *is.get_ref()),
+        };
+        let modal = modal::read_modal(modal, head.rate_hz, &nodes, &updatable);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
         let record = record::read_record(file.table("record"), channels.map(|_| &channel_list[..]));
         let levels = (!nodes.incomplete && declared_excitations == excitations.len())

@@ -1,6 +1,6 @@
 //! What `[modal]` states: channels, epochs, band, and the declared modes.
 
-use spandrel_modal::{BandLadder, EpochStream, ModalError, ModalSettings};
+use spandrel_modal::{BandLadder, EpochStream, ModalError, ModalSettings, UpdateSettings};
 
 /// The `[modal]` table.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,6 +15,19 @@ pub struct ModalPlan {
     pub names: Vec<String>,
     /// The declared modes, in the order of the file.
     pub modes: Vec<DeclaredMode>,
+    /// The stiffnesses that the modes update. `None` if the file does not ask for it.
+    pub update: Option<UpdatePlan>,
+}
+
+/// The stiffnesses that the declared modes update.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UpdatePlan {
+    /// Settings, with the priors of the parts.
+    pub settings: UpdateSettings,
+    /// Name of the parameter of each part.
+    pub parts: Vec<String>,
+    /// Prior mean of each parameter (ratio to nominal).
+    pub means: Vec<f64>,
 }
 
 /// A mode that is followed under a name.
@@ -31,6 +44,8 @@ pub struct DeclaredMode {
 impl ModalPlan {
     /// Default of `modal.mode.within`.
     pub const WITHIN: f64 = 0.05;
+    /// Default of `modal.commissioning-epochs`: a day with epochs of ten minutes.
+    pub const COMMISSIONING_EPOCHS: usize = 144;
     /// Largest number of channels.
     pub const MOST_CHANNELS: usize = 128;
     /// Largest number of declared modes.

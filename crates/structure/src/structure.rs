@@ -132,6 +132,17 @@ impl Structure {
         !self.system.is_empty()
     }
 
+    /// Returns `true` if a filter estimates the parameters from every frame. Otherwise there is no
+    /// model, or natural frequencies update it.
+    #[must_use]
+    pub fn is_filtered(&self) -> bool {
+        let is_updated = self
+            .modal
+            .as_ref()
+            .is_some_and(|plan| plan.update.is_some());
+        self.has_model() && !is_updated
+    }
+
     /// Returns the names of the degrees of freedom, in the order of the state. Empty without a model.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> &[String] {

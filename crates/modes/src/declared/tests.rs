@@ -57,7 +57,7 @@ fn pass(declared: &mut DeclaredModes, modes: &[Mode]) -> Vec<String> {
     };
     declared.handle(over, &mut outputs);
     let events = outputs.into_iter().filter_map(|output| match output {
-        ModesOutput::Mode(_) => None,
+        ModesOutput::Mode(_) | ModesOutput::Parameter(_) => None,
         ModesOutput::Event(event) => Some(format!("{:?} {}", event.kind, event.subject)),
     });
     events.collect()

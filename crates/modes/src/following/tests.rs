@@ -7,7 +7,7 @@ const TWO_EPOCHS: usize = 6_700;
 
 fn following() -> Following {
     let plan = plan(&[("first", 1.0), ("second", 2.5)]);
-    Following::new(&name("tower"), &plan).unwrap()
+    Following::new(&name("tower"), &plan, None).unwrap()
 }
 
 fn deliver(core: &mut Following, delivery: &Delivery<FrameBlock>) -> Vec<ModesOutput> {
@@ -101,11 +101,11 @@ fn blocks_and_a_restart_change_no_bit() {
 #[test]
 fn a_state_of_other_modes_or_bands_is_refused() {
     let state = following().state();
-    let mut other = Following::new(&name("tower"), &plan(&[("first", 1.0)])).unwrap();
+    let mut other = Following::new(&name("tower"), &plan(&[("first", 1.0)]), None).unwrap();
     assert!(other.restore(state.clone()).is_err());
     let mut plan = plan(&[("first", 1.0), ("second", 2.5)]);
     plan.settings.epoch_s *= 2.0;
-    let mut other = Following::new(&name("tower"), &plan).unwrap();
+    let mut other = Following::new(&name("tower"), &plan, None).unwrap();
     assert!(other.restore(state).is_err());
 }
 

@@ -43,7 +43,7 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
         });
     }
     let structure = Structure::read(&arguments.structure)?;
-    if let (false, Some(plan)) = (structure.has_model(), structure.modal()) {
+    if let (false, Some(plan)) = (structure.is_filtered(), structure.modal()) {
         let page = ModalCheckPage::new(&structure, plan)?;
         return print(&match arguments.json {
             true => page.json(),

@@ -126,9 +126,9 @@ impl Plan {
         {
             return Err(AppError::NothingToFuse);
         }
-        let has_model = |watched: &Watched| watched.structure.has_model();
+        let is_filtered = |watched: &Watched| watched.structure.is_filtered();
         if [Services::IDENTIFY, Services::ALERT].contains(&services)
-            && !watched.iter().any(has_model)
+            && !watched.iter().any(is_filtered)
         {
             return Err(AppError::NothingToIdentify {
                 service: services.name(),
@@ -211,7 +211,7 @@ impl Plan {
             .watched
             .iter()
             .any(|watched| watched.structure.modal().is_some());
-        let has_model = |watched: &Watched| watched.structure.has_model();
+        let is_filtered = |watched: &Watched| watched.structure.is_filtered();
         let (any_fused, any_whole) = (
             self.watched.iter().any(is_fused),
             self.watched.iter().any(|watched| !is_fused(watched)),
@@ -219,7 +219,7 @@ impl Plan {
         let any_estimated = self
             .watched
             .iter()
-            .any(|watched| has_model(watched) && !is_fused(watched));
+            .any(|watched| is_filtered(watched) && !is_fused(watched));
         let wanted = [
             (self.feed.is_some(), Need::PUT_SAMPLES),
             (services.has(Service::Ingest) && any_whole, Need::PUT_FRAMES),
@@ -230,7 +230,7 @@ impl Plan {
             (services == Services::IDENTIFY && any_fused, Need::PUT_LOCAL),
             (services.has(Service::Fuse) && any_fused, Need::PUT_FEEDBACK),
             (
-                services.has(Service::Alert) && self.watched.iter().any(has_model),
+                services.has(Service::Alert) && self.watched.iter().any(is_filtered),
                 Need::PUT_ALERTS,
             ),
             (

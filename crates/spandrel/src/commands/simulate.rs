@@ -211,7 +211,7 @@ fn wanted<'a>(
 pub fn readers(structure: &Structure) -> Vec<Service> {
     match structure.fusion() {
         Some(_) => vec![Service::Fuse],
-        None if !structure.has_model() => vec![Service::Ingest, Service::Modes],
+        None if !structure.is_filtered() => vec![Service::Ingest, Service::Modes],
         None => vec![Service::Ingest, Service::Identify, Service::Alert],
     }
 }

@@ -1,6 +1,7 @@
 //! Chooses epochs and bands for a recording, and identifies its modes.
 
 use super::frames::Frames;
+use super::stiffness::StiffnessCourse;
 use crate::error::AppError;
 use serde::Serialize;
 use spandrel_bus::{Name, TimeGrid};
@@ -8,7 +9,7 @@ use spandrel_modal::{
     BandLadder, CERTAIN_DAMPING, ChannelUse, EpochStream, LadderEpoch, ModalError, ModalSettings,
     ModeSummary, RecordModes, Source,
 };
-use spandrel_modes::{DeclaredModes, EpochOver, ModesError, ModesOutput};
+use spandrel_modes::{DeclaredModes, EpochOver, ModesError, ModesOutput, Stiffnesses};
 use spandrel_structure::{ModalPlan, Structure};
 
 /// What the user has chosen.
@@ -52,6 +53,8 @@ pub struct Analysis {
     pub uncertain: usize,
     /// What the service `modes` would publish: the declared modes after each epoch, and events.
     pub declared: Vec<ModesOutput>,
+    /// The stiffnesses that the declared modes update. `None` if they update none.
+    pub stiffness: Option<StiffnessCourse>,
 }
 
 /// A channel that took no part in some epochs.
@@ -86,12 +89,21 @@ pub fn follow(
     plan: &ModalPlan,
 ) -> Result<Analysis, AppError> {
     let stream = plan.stream().map_err(ModesError::from)?;
-    let mut declared = DeclaredModes::new(&Name::new(structure.name())?, plan)?;
+    let declared = DeclaredModes::new(&Name::new(structure.name())?, plan)?;
+    let mut declared = declared.updating(Stiffnesses::new(structure)?);
+    let mut course = StiffnessCourse::new(structure);
     let mut outputs = Vec::new();
     let mut analysis = identify(records, &stream, plan.settings.epoch_s, |over| {
         declared.handle(over, &mut outputs);
+        if let Some((course, stiffnesses)) = course.as_mut().zip(declared.stiffnesses()) {
+            course.note(stiffnesses);
+        }
     })?;
+    if let Some((course, stiffnesses)) = course.as_mut().zip(declared.stiffnesses()) {
+        course.finish(stiffnesses)?;
+    }
     analysis.declared = outputs;
+    analysis.stiffness = course;
     Ok(analysis)
 }
 
@@ -164,6 +176,7 @@ fn identify(
         recording,
         record,
         declared: Vec::new(),
+        stiffness: None,
     })
 }
 

@@ -2,6 +2,7 @@
 
 use super::analysis::{Absence, Analysis, absent};
 use super::frames::{Frames, listed};
+use super::stiffness;
 use crate::commands::counted;
 use serde_json::{Value, json};
 use spandrel_bus::{Event, ModeDisplay};
@@ -40,7 +41,7 @@ impl Recordings<'_> {
             .collect()
     }
 
-    fn name(&self, position: usize) -> String {
+    pub(super) fn name(&self, position: usize) -> String {
         let path = self.all.get(position).map(|frames| frames.path.display());
         path.map(|path| path.to_string()).unwrap_or_default()
     }
@@ -130,7 +131,9 @@ pub fn text(records: Recordings<'_>, analysis: &Analysis) -> String {
             "not listed: {modes} whose damping ratio is less than twice its standard deviation"
         );
     }
-    text + &differing_text(records, analysis) + &declared_text(analysis)
+    text + &differing_text(records, analysis)
+        + &declared_text(analysis)
+        + &stiffness::text(analysis)
 }
 
 /// Names the modes whose frequency differs between recordings by more than chance.
@@ -159,13 +162,13 @@ fn differing_text(records: Recordings<'_>, analysis: &Analysis) -> String {
 fn displays(analysis: &Analysis) -> impl Iterator<Item = &ModeDisplay> {
     analysis.declared.iter().filter_map(|output| match output {
         ModesOutput::Mode(display) => Some(display.as_ref()),
-        ModesOutput::Event(_) => None,
+        ModesOutput::Event(_) | ModesOutput::Parameter(_) => None,
     })
 }
 
 fn events(analysis: &Analysis) -> impl Iterator<Item = &Event> {
     analysis.declared.iter().filter_map(|output| match output {
-        ModesOutput::Mode(_) => None,
+        ModesOutput::Mode(_) | ModesOutput::Parameter(_) => None,
         ModesOutput::Event(event) => Some(event),
     })
 }
@@ -269,6 +272,7 @@ pub fn json(records: Recordings<'_>, analysis: &Analysis) -> String {
         "uncertain_modes": analysis.uncertain,
         "epochs": epochs,
         "declared_modes": displays(analysis).collect::<Vec<_>>(),
+        "stiffness": stiffness::json(records, analysis),
         "events": events(analysis).collect::<Vec<_>>(),
     });
     format!("{all:#}\n")

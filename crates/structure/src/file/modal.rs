@@ -1,12 +1,13 @@
 //! Reads `[modal]`.
 
 use super::node::NodesRead;
+use super::parameter::ParameterRead;
 use super::{check_unique, find_name};
 use crate::diagnostics::counted;
-use crate::modal_plan::{DeclaredMode, ModalPlan};
+use crate::modal_plan::{DeclaredMode, ModalPlan, UpdatePlan};
 use crate::node::Channel;
 use crate::section::{Allowed, Section};
-use spandrel_modal::{ModalError, ModalSettings};
+use spandrel_modal::{ModalError, ModalSettings, UpdateSettings};
 use std::collections::BTreeSet;
 use toml::Spanned;
 
@@ -14,14 +15,27 @@ use toml::Spanned;
 const EPOCH_RANGE_S: (usize, usize) = (10, 86_400);
 /// Range of `modal.highest-order`.
 const ORDER_RANGE: (usize, usize) = (2, 200);
+/// Range of `modal.commissioning-epochs`. The epochs are kept until the commissioning ends.
+const COMMISSIONING_RANGE: (usize, usize) = (1, 2000);
 /// Smallest number of channels from which shapes can be identified.
 const LEAST_CHANNELS: usize = 2;
+
+/// What natural frequencies could update.
+pub(super) struct Updatable<'f> {
+    /// Parameters in state order; `None` if some could not be read.
+    pub(super) parameters: Option<&'f [ParameterRead]>,
+    /// Whether there is a model of linear springs.
+    pub(super) is_linear: bool,
+    /// Whether the nodes identify for themselves.
+    pub(super) is_distributed: bool,
+}
 
 /// Reads `[modal]`; without the table no natural frequencies are followed.
 pub(super) fn read_modal(
     section: Option<Section<'_>>,
     rate_hz: Option<f64>,
     nodes: &NodesRead,
+    updatable: &Updatable<'_>,
 ) -> Option<ModalPlan> {
     let mut section = section?;
     let (shortest, longest) = EPOCH_RANGE_S;
@@ -36,6 +50,7 @@ pub(super) fn read_modal(
         .whole("highest-order", least, most)
         .map_or(ModalSettings::HIGHEST_ORDER, Spanned::into_inner);
     let band_hz = read_band(&mut section);
+    let update = read_update(&mut section, updatable);
     let without = section.names("without");
     let references = section.names("references");
     let tables = section.tables("mode");
@@ -104,7 +119,55 @@ pub(super) fn read_modal(
             .map(|(_, channel)| channel.name().to_owned())
             .collect(),
         modes: modes.collect::<Option<_>>()?,
+        update,
     })
+}
+
+/// Reads `updates` and `commissioning-epochs`.
+fn read_update(section: &mut Section<'_>, updatable: &Updatable<'_>) -> Option<UpdatePlan> {
+    let span = section.span_of("updates");
+    let updates = section.choice("updates", &[("none", false), ("stiffness", true)]);
+    let (least, most) = COMMISSIONING_RANGE;
+    let commissioning_epochs = section
+        .whole("commissioning-epochs", least, most)
+        .map_or(ModalPlan::COMMISSIONING_EPOCHS, Spanned::into_inner);
+    if !updates?.into_inner() {
+        return None;
+    }
+    let stiffnesses = updatable.parameters?.iter();
+    let stiffnesses: Vec<_> = stiffnesses
+        .map(|read| &read.parameter)
+        .filter(|parameter| parameter.is_stiffness())
+        .collect();
+    let allowed = if updatable.is_distributed {
+        "must be \"none\" with identification = \"distributed\""
+    } else if !updatable.is_linear {
+        "must be \"none\" without a model of linear springs"
+    } else if stiffnesses.is_empty() {
+        "must be \"none\" without a [[parameter]] that scales a stiffness"
+    } else if !section.contains("mode") {
+        "must be \"none\" without a [[modal.mode]]"
+    } else {
+        let relative = stiffnesses
+            .iter()
+            .map(|parameter| parameter.std() / parameter.mean());
+        return Some(UpdatePlan {
+            settings: UpdateSettings {
+                commissioning_epochs,
+                prior_std: relative.collect(),
+            },
+            parts: stiffnesses
+                .iter()
+                .map(|one| one.name().to_owned())
+                .collect(),
+            means: stiffnesses.iter().map(|one| one.mean()).collect(),
+        });
+    };
+    let key = section.key("updates");
+    section
+        .diagnostics()
+        .report(span, key, "is \"stiffness\"", allowed);
+    None
 }
 
 fn read_band(section: &mut Section<'_>) -> Option<Spanned<(f64, f64)>> {
@@ -195,6 +258,8 @@ fn report(section: &Section<'_>, error: &ModalError) {
         | ModalError::Channels { .. }
         | ModalError::Rate { .. }
         | ModalError::Frame { .. }
+        | ModalError::Model
+        | ModalError::NoModelMode
         | ModalError::NotConverged { .. } => "epoch-s",
     };
     let (found, allowed) = match error {

@@ -297,3 +297,55 @@ fn command_that_needs_a_model_names_the_line_of_the_kind() {
     std::fs::write(&path, DEMO).unwrap();
     assert!(Structure::read_with_model(&path).is_ok());
 }
+
+#[test]
+fn modes_update_the_stiffness_parameters_if_the_file_asks_for_it() {
+    let plan = |to: &str| {
+        let text = MODAL.replacen("[modal]\n", &format!("[modal]\n{to}"), 1);
+        parse(&text).unwrap().modal().unwrap().update.clone()
+    };
+    assert_eq!(plan(""), None);
+    assert_eq!(plan("updates = \"none\"\n"), None);
+    let update = plan("updates = \"stiffness\"\n").unwrap();
+    assert!(update.parts.contains(&"storey-2".to_owned()), "{update:?}");
+    assert_eq!(update.parts.len(), update.settings.prior_std.len());
+    assert_eq!(update.settings.commissioning_epochs, 144);
+    let updated = format!(
+        "{DEMO}{}",
+        MODAL.replacen("[modal]\n", "[modal]\nupdates = \"stiffness\"\n", 1)
+    );
+    let updated = Structure::parse(&updated, Path::new("demo.toml")).unwrap();
+    assert!(updated.has_model() && !updated.is_filtered());
+    assert!(parse(MODAL).unwrap().is_filtered());
+}
+
+#[test]
+fn an_update_without_anything_to_update_is_refused() {
+    let mistake = |text: &str| {
+        let error = Structure::parse(text, Path::new("x.toml")).unwrap_err();
+        let StructureError::Invalid { diagnostics } = error else {
+            panic!("{error}");
+        };
+        diagnostics
+            .iter()
+            .map(ToString::to_string)
+            .collect::<String>()
+    };
+    let updates = "updates = \"stiffness\"\n";
+    let sensors = SENSORS_ONLY.replacen("[modal]\n", &format!("[modal]\n{updates}"), 1);
+    let told = mistake(&sensors);
+    assert!(
+        told.ends_with("must be \"none\" without a model of linear springs"),
+        "{told}"
+    );
+    let told = mistake(&format!("{DEMO}\n[modal]\n{updates}"));
+    assert!(
+        told.ends_with("must be \"none\" without a [[modal.mode]]"),
+        "{told}"
+    );
+    let told = mistake(&format!("{DEMO}\n[modal]\nupdates = \"mass\"\n"));
+    assert!(
+        told.contains("modal.updates: is \"mass\", must be "),
+        "{told}"
+    );
+}

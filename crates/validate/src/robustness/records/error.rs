@@ -18,6 +18,9 @@ pub enum RecordsError {
     /// The structure cannot be identified.
     #[error(transparent)]
     Identify(#[from] spandrel_identify::IdentifyError),
+    /// The modes cannot be identified, or do not update the stiffnesses.
+    #[error(transparent)]
+    Modes(#[from] spandrel_modes::ModesError),
     /// The alert rules cannot be applied.
     #[error(transparent)]
     Alert(#[from] spandrel_alert::AlertError),

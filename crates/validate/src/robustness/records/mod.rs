@@ -8,6 +8,7 @@
 //!   damaged structure
 //! - `pairs`: differences of two records relative to their stated uncertainty
 //! - `shake_table`, `bridge`, `tower`: the structures
+//! - `tower_modes`: the natural frequencies of the tower, which update stiffnesses
 //! - `mistakes`: records that are read with a wrong file
 //! - `sensor_faults`: records with one faulty sensor
 
@@ -21,6 +22,7 @@ mod row;
 mod sensor_faults;
 mod shake_table;
 mod tower;
+mod tower_modes;
 
 pub use error::RecordsError;
 pub use row::Row;
@@ -49,7 +51,13 @@ pub fn real_records(
         return sensor_faults::rows(data, &mut done);
     }
     let mut all = Vec::new();
-    let parts = [shake_table::rows, mistakes::rows, tower::rows, bridge::rows];
+    let parts = [
+        shake_table::rows,
+        mistakes::rows,
+        tower::rows,
+        tower_modes::rows,
+        bridge::rows,
+    ];
     for part in parts {
         let rows = part(data)?;
         rows.iter().for_each(&mut done);
