@@ -49,6 +49,7 @@ mod outliers;
 mod overload;
 mod package;
 mod pages;
+mod power;
 mod prometheus;
 mod python;
 mod recordings;

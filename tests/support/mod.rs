@@ -4,6 +4,7 @@
 mod building;
 mod computers;
 mod disk;
+mod disk_log;
 mod drops;
 mod estimates;
 mod lab;
@@ -20,6 +21,7 @@ mod skip;
 pub use building::{HOUSE, distributed_storeys, five_storeys, storeys, two_storeys};
 pub use computers::{Computers, packaged_postgresql};
 pub use disk::SmallDisk;
+pub use disk_log::{Disk, DiskLog, Luck, differences};
 pub use drops::Drops;
 pub use estimates::{EstimateReader, Estimated, Identified, assert_same_bits, identified};
 pub use lab::{Lab, Link};

@@ -50,6 +50,14 @@ impl Sensors {
             .unwrap()
     }
 
+    /// Returns the names of the nodes.
+    pub fn names(&self) -> Vec<String> {
+        self.nodes
+            .iter()
+            .map(|node| node.name.to_string())
+            .collect()
+    }
+
     /// Returns the record that the nodes send.
     pub fn record(&self) -> &Record {
         &self.record

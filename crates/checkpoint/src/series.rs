@@ -75,7 +75,9 @@ impl Checkpoints {
             identity,
         };
         // An unreadable folder must be reported at the start.
-        checkpoints.places()?;
+        if checkpoints.places()?.is_empty() {
+            sync_name(folder);
+        }
         Ok(checkpoints)
     }
 
@@ -100,6 +102,7 @@ impl Checkpoints {
         if !self.has_folder() && above.any(Path::is_dir) {
             // If this fails, the write below reports the reason.
             let _ = create_folder(&self.folder);
+            sync_name(&self.folder);
         }
         let path = self.path(place);
         let beside = path.with_extension("new");
@@ -321,6 +324,20 @@ fn create_folder(folder: &Path) -> io::Result<()> {
         .recursive(true)
         .mode(FOLDER_MODE)
         .create(folder)
+}
+
+/// Syncs the name of a file or folder to disk, and the names of the folders above it.
+///
+/// After a power failure, a synced file is found only if these names are synced, too. Folders that
+/// cannot be opened are omitted.
+pub fn sync_name(path: &Path) {
+    for folder in path.ancestors().skip(1) {
+        let folder = match folder.as_os_str().is_empty() {
+            true => Path::new("."),
+            false => folder,
+        };
+        let _ = File::open(folder).and_then(|folder| folder.sync_all());
+    }
 }
 
 fn write_whole(

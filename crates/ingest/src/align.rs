@@ -180,6 +180,21 @@ impl Alignment {
         self
     }
 
+    /// Begins a new run after a recorded state, in the epoch of [`Alignment::new`].
+    ///
+    /// Frames after the recorded ones may have been published, so that their numbers must not be used
+    /// again. The arguments are those of [`Alignment::going_on`]. Recorded samples do not become part
+    /// of a second frame.
+    #[must_use]
+    pub fn beginning_after(self, last: &FrameBlock, nodes: &[NodePlace]) -> Self {
+        let epoch = self.epoch;
+        Self {
+            epoch,
+            run: None,
+            ..self.going_on(last, nodes)
+        }
+    }
+
     /// Returns the position of each node: the first of its samples that is not yet part of a frame.
     #[must_use]
     pub fn places(&self) -> Vec<NodePlace> {

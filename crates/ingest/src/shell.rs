@@ -209,7 +209,6 @@ impl IngestService {
             let epoch = past
                 .as_ref()
                 .map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
-            let past = past.filter(|past| past.is_whole);
             let mut stream = NumberedStream {
                 key: keys.frames(),
                 buffer_key: keys.recording(),
@@ -229,21 +228,31 @@ impl IngestService {
                 .publish_progress(keys.progress(Service::Ingest), id.to_string())
                 .await?;
             let (mut done, mut last_time_ns) = (0, None);
-            if let Some(Past { last, nodes, .. }) = past {
+            if let Some(Past {
+                last,
+                nodes,
+                is_whole,
+            }) = past
+            {
+                last_time_ns = last
+                    .grid()
+                    .zip(last.end().checked_sub(1))
+                    .map(|(grid, number)| grid.time_ns(number));
+                if is_whole {
+                    (stream.epoch, stream.first, stream.state) =
+                        (last.header.epoch, last.end(), last.state);
+                    done = last.end();
+                    core = core.going_on(&last, &nodes);
+                } else {
+                    core = core.beginning_after(&last, &nodes);
+                }
                 info!(
                     structure = keys.structure().as_str(),
                     frame = last.end(),
+                    is_new_epoch = !is_whole,
                     "resuming where the recording ended"
                 );
-                (stream.epoch, stream.first, stream.state) =
-                    (last.header.epoch, last.end(), last.state);
-                core = core.going_on(&last, &nodes);
                 places = nodes;
-                done = last.end();
-                last_time_ns = last
-                    .grid()
-                    .zip(done.checked_sub(1))
-                    .map(|(grid, number)| grid.time_ns(number));
                 // Sources may be waiting for progress that this service made but could not publish
                 // before it was killed.
                 progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));

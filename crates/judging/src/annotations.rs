@@ -2,6 +2,7 @@
 
 use crate::error::JudgingError;
 use spandrel_bus::{Annotation, JudgementCourse, Message as _};
+use spandrel_checkpoint::sync_name;
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
@@ -70,8 +71,12 @@ impl AnnotationLog {
             let mut line = b"\n".to_vec();
             line.extend(annotation.encode().map_err(std::io::Error::other)?);
             let mut file = OpenOptions::new().append(true).create(true).open(path)?;
+            let is_new = file.metadata()?.len() == 0;
             file.write_all(&line)?;
             file.sync_data()?;
+            if is_new {
+                sync_name(path);
+            }
         }
         self.all.push(annotation.clone());
         Ok(())

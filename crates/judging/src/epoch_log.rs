@@ -6,7 +6,7 @@
 
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
-use spandrel_checkpoint::{Failures, fingerprint};
+use spandrel_checkpoint::{Failures, fingerprint, sync_name};
 use spandrel_judge::Epoch;
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
 use spandrel_structure::JudgePlan;
@@ -187,6 +187,9 @@ impl EpochLog {
         }
         file.write_all(text.as_bytes())?;
         file.sync_data()?;
+        if text.starts_with(&self.header) {
+            sync_name(&self.path);
+        }
         end.length += text.len() as u64;
         Ok(end)
     }
@@ -371,7 +374,9 @@ fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut file = File::create(&temporary)?;
     file.write_all(bytes)?;
     file.sync_all()?;
-    std::fs::rename(&temporary, path)
+    std::fs::rename(&temporary, path)?;
+    sync_name(path);
+    Ok(())
 }
 
 #[cfg(test)]

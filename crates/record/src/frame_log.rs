@@ -177,7 +177,6 @@ impl FrameLog {
         layout: LogLayout,
         settings: LogSettings,
     ) -> Result<(Self, OpenedLog), RecordError> {
-        let is_new = !folder.exists();
         let created = DirBuilder::new()
             .recursive(true)
             .mode(FOLDER_MODE)
@@ -186,13 +185,15 @@ impl FrameLog {
             path: folder.to_owned(),
             source,
         })?;
-        if let Some(parent) = folder.parent().filter(|_| is_new) {
-            // The entry of the folder in its parent needs a sync, too. An unreadable parent must
-            // not prevent logging.
-            let _ = sync_folder(parent);
-        }
         let note = Note::lock(folder)?;
         let shared = Arc::new(Folder::read(folder)?);
+        if shared.names().is_empty() {
+            // The names of the folder and of those above it need a sync, too. An unreadable one must
+            // not prevent logging.
+            for above in folder.ancestors().skip(1) {
+                let _ = sync_folder(above);
+            }
+        }
         let stated = StatedLayout {
             layout,
             boot_id: layout::boot_id(),

@@ -30,6 +30,9 @@ const HEAD_START: Duration = Duration::from_secs(3);
 /// Time at the start that is not counted, because the noise levels are being learnt and buffers
 /// grow.
 const WARM_UP: Duration = Duration::from_secs(5);
+/// Time at the end that is not counted. After the last block, services publish their progress only
+/// with its next repetition, and all sensors withdraw their declarations at once.
+const RUN_OUT: Duration = Duration::from_secs(1);
 /// Latency above which the machine counts as overloaded (s). It equals several blocks of 50 ms.
 const SUSTAINED_P99_S: f64 = 0.5;
 
@@ -397,7 +400,7 @@ async fn time(
     }
     let (from_ns, to_ns) = (
         start_ns + WARM_UP.as_nanos() as i64,
-        start_ns + duration.as_nanos() as i64,
+        start_ns + duration.saturating_sub(RUN_OUT).as_nanos() as i64,
     );
     let late = |time_ns: i64| Clock::of_machine().now_ns().saturating_sub(time_ns) as f64 / 1e9;
     let is_counted = |time_ns: i64| (from_ns..to_ns).contains(&time_ns);
@@ -406,7 +409,7 @@ async fn time(
     let mut first_usage = None;
     let end = tokio::time::sleep(
         Duration::from_nanos((to_ns - Clock::of_machine().now_ns()).max(0).unsigned_abs())
-            + Duration::from_secs(1),
+            + RUN_OUT,
     );
     tokio::pin!(end);
     loop {
