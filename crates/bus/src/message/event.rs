@@ -72,6 +72,12 @@ pub enum EventKind {
     ModePaired,
     /// Two such modes can be told apart again.
     ModeParted,
+    /// Strong motion has begun. A report follows.
+    Earthquake,
+    /// A report of an earthquake is ready. The subject names it.
+    EarthquakeReport,
+    /// A report of an earthquake is not made, or waits.
+    EarthquakeUnreported,
 }
 
 /// One event with its reason.
