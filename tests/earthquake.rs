@@ -161,11 +161,11 @@ fn bridge_in_21_earthquakes_softens_three_times_and_raises_no_loss_before_decemb
 const MASS: f64 = 1e5;
 const STIFFNESS: f64 = 8e7;
 const DAMPING: f64 = 0.03;
-const RATE_HZ: f64 = 100.0;
-const FLOORS: usize = 3;
+pub const RATE_HZ: f64 = 100.0;
+pub const FLOORS: usize = 3;
 
 /// Structure file of the building, as its owner would write it: linear.
-fn building() -> String {
+pub fn building() -> String {
     let mut text = format!(
         "[structure]\nname = \"block-7\"\nsampling-rate-hz = {RATE_HZ}\n\n[model]\n\
          kind = \"shear-building\"\nmasses-kg = [{MASS}, {MASS}, {MASS}]\n\
@@ -192,9 +192,6 @@ fn building() -> String {
 /// ż = ṙ − |ṙ||z|² z/(2 r_y³) − ṙ|z|³/(2 r_y³) (Bouc-Wen with n = 3).
 fn quake(seed: u64, peak: f64, first_storey: f64) -> Vec<[f64; FLOORS + 1]> {
     const SECONDS: usize = 60;
-    const PARTS: u32 = 4;
-    const YIELD_M: f64 = 0.003;
-    const ALPHA: f64 = 0.1;
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let frames = SECONDS * RATE_HZ as usize;
     let (mut level, mut ground) = (0.0, Vec::with_capacity(frames));
@@ -211,6 +208,18 @@ fn quake(seed: u64, peak: f64, first_storey: f64) -> Vec<[f64; FLOORS + 1]> {
     }
     let largest = ground.iter().fold(0.0_f64, |most, a| most.max(a.abs()));
     ground.iter_mut().for_each(|a| *a *= peak / largest);
+    respond(&ground, first_storey, &mut random)
+}
+
+/// Returns the samples of the ground and of each floor under this motion of the ground.
+pub fn respond(
+    ground: &[f64],
+    first_storey: f64,
+    random: &mut rand_chacha::ChaCha8Rng,
+) -> Vec<[f64; FLOORS + 1]> {
+    const PARTS: u32 = 4;
+    const YIELD_M: f64 = 0.003;
+    const ALPHA: f64 = 0.1;
     let springs = [first_storey * STIFFNESS, STIFFNESS, STIFFNESS];
     // Proportional to stiffness, with the ratio at the first frequency of 2 Hz.
     let viscous = springs.map(|k| 2.0 * DAMPING / (std::f64::consts::TAU * 2.0) * k);
@@ -239,7 +248,7 @@ fn quake(seed: u64, peak: f64, first_storey: f64) -> Vec<[f64; FLOORS + 1]> {
         ]
     };
     let step = 1.0 / (RATE_HZ * f64::from(PARTS));
-    let (mut y, mut rows) = ([0.0; 7], Vec::with_capacity(frames));
+    let (mut y, mut rows) = ([0.0; 7], Vec::with_capacity(ground.len()));
     for (frame, a) in ground.iter().enumerate() {
         let next = ground.get(frame + 1).unwrap_or(a);
         let accelerations = slope(*a, &y);

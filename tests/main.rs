@@ -54,6 +54,7 @@ mod prometheus;
 mod python;
 mod recordings;
 mod refused;
+mod reports;
 mod restarts;
 mod seedlink;
 mod shake_table;

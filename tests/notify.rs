@@ -818,3 +818,35 @@ async fn only_unacknowledged_alerts_are_escalated() {
     notify.stop().expect_code(0);
     bus.close().await.unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn notice_of_an_alert_in_an_earthquake_links_to_the_report() {
+    let site = Site::with(&two_storeys(DAMAGED));
+    let (bus, keys) = (site.host().await, site.keys());
+    let (hook, hooks) = http(0);
+    let text = format!(
+        "[notify]\npublic-url = \"https://bridges.example\"\n\
+         [[notify.webhook]]\nurl = \"http://{hook}/\"\n[state]\nfolder = \"state\"\n"
+    );
+    let notify = start_notify(&site, &bus, &text).await;
+    let events = bus.publish_display(keys.event()).await.unwrap();
+    let quake = Event {
+        structure: keys.structure().clone(),
+        time_ns: 100_000_000_000,
+        kind: EventKind::Earthquake,
+        subject: "1970-01-01t00-01-10z".to_owned(),
+        what: "strong motion".to_owned(),
+        why: "a report follows".to_owned(),
+    };
+    events.put(&quake).await.unwrap();
+    let alerts = keys.alert(&Name::new("storey-2").unwrap());
+    let alerts = bus.publish_display(alerts).await.unwrap();
+    let raised = alert(&site, 104, AlertState::Raised);
+    alerts.put(&raised).await.unwrap();
+    let notice = hooks.recv_timeout(DEADLINE).unwrap().body;
+    let advice = notice["advice"].as_str().unwrap();
+    let link = "https://bridges.example/events/house/1970-01-01t00-01-10z.html";
+    assert!(advice.contains(link), "{notice}");
+    notify.stop().expect_code(0);
+    bus.close().await.unwrap();
+}

@@ -158,9 +158,12 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
                 Service::Identify,
                 Service::Fuse,
                 Service::Modes,
+                Service::Reports,
             ]
             .map(of_service)
             .concat(),
+            // Reports of earthquakes need the frames.
+            each(Right::Answer, &[K::Report]),
         ]
         .concat(),
         Role::Alert => [
@@ -219,6 +222,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             ),
             // The status of ingest and of fuse states whether the samples are live.
             each(Right::Subscribe, &Service::ALL.map(K::Status)),
+            // An event names the report of an earthquake, to which notices link.
+            each(Right::Subscribe, &[K::Event]),
             each(Right::Put, &[K::Event]),
             each(Right::Query, &[K::Alert, K::AlertLog]),
             each(
@@ -255,6 +260,7 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
                     K::History,
                     K::HistoryLog,
                     K::JudgementCourse,
+                    K::Report,
                 ],
             ),
             watch_all(),
@@ -326,6 +332,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Condition
         | K::Judgement
         | K::JudgementCourse
+        | K::Report
         | K::Mode
         | K::Event
         | K::Alert

@@ -249,6 +249,19 @@ impl Keys {
         self.all(KeyFamily::JudgementCourse)
     }
 
+    /// Returns the key to query one report of an earthquake, or the list `index`. The service
+    /// reports replies.
+    #[must_use]
+    pub fn report(&self, report: &Name) -> String {
+        self.key(KeyFamily::Report, report)
+    }
+
+    /// Returns the key expression of all reports.
+    #[must_use]
+    pub fn all_reports(&self) -> String {
+        self.all(KeyFamily::Report)
+    }
+
     /// Returns the key of one declared mode.
     #[must_use]
     pub fn mode(&self, mode: &Name) -> String {
@@ -422,6 +435,8 @@ pub enum Service {
     Modes,
     /// The service that judges lasting changes.
     Judge,
+    /// The service that reports earthquakes.
+    Reports,
     /// The history service.
     History,
     /// The service that notifies people of alerts.
@@ -432,7 +447,7 @@ pub enum Service {
 
 impl Service {
     /// All services.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Sensor,
         Self::Feed,
         Self::Ingest,
@@ -441,6 +456,7 @@ impl Service {
         Self::Alert,
         Self::Modes,
         Self::Judge,
+        Self::Reports,
         Self::History,
         Self::Notify,
         Self::Dashboard,
@@ -458,6 +474,7 @@ impl Service {
             Self::Alert => "alert",
             Self::Modes => "modes",
             Self::Judge => "judge",
+            Self::Reports => "reports",
             Self::History => "history",
             Self::Notify => "notify",
             Self::Dashboard => "dashboard",
@@ -526,6 +543,8 @@ pub enum KeyFamily {
     Judgement,
     /// [`Keys::judgement_course`], one per quantity
     JudgementCourse,
+    /// [`Keys::report`], one per report
+    Report,
     /// [`Keys::mode`], one per declared mode
     Mode,
     /// [`Keys::event`]
@@ -569,7 +588,7 @@ impl KeyFamily {
         Self::WITHOUT_SERVICE.into_iter().chain(of_services)
     }
 
-    const WITHOUT_SERVICE: [Self; 35] = [
+    const WITHOUT_SERVICE: [Self; 36] = [
         Self::Samples,
         Self::Buffer,
         Self::Frames,
@@ -592,6 +611,7 @@ impl KeyFamily {
         Self::Condition,
         Self::Judgement,
         Self::JudgementCourse,
+        Self::Report,
         Self::Mode,
         Self::Event,
         Self::Alert,
@@ -634,6 +654,7 @@ impl KeyFamily {
             Self::Condition => "condition/{of}",
             Self::Judgement => "judgement/{of}",
             Self::JudgementCourse => "judgement/{of}/@course",
+            Self::Report => "@report/{of}",
             Self::Mode => "mode/{of}",
             Self::Event => "event",
             Self::Alert => "alert/{of}",
@@ -823,6 +844,8 @@ mod tests {
                 keys.all_judgement_courses(),
                 "spandrel/tower/judgement/*/@course",
             ),
+            (keys.report(&n), "spandrel/tower/@report/storey-1"),
+            (keys.all_reports(), "spandrel/tower/@report/*"),
             (keys.mode(&n), "spandrel/tower/mode/storey-1"),
             (keys.all_modes(), "spandrel/tower/mode/*"),
             (keys.event(), "spandrel/tower/event"),

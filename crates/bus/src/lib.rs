@@ -101,7 +101,7 @@ pub use message::{
     Message, ModeDisplay, ModeEstimate, ModeState, ModelClassDisplay, MonitoringDisplay,
     MonitoringState, MotionNumbers, NodeClock, NodeDisplay, NodeHealth, NodeLineage, NodeState,
     NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, ParameterMonitoring, Phase, Progress,
-    REFERENCE_IS_LEARNT, RoundedProbability, SampleBlock, SampleLevel, ScreenedChannel,
+    REFERENCE_IS_LEARNT, ReportPage, RoundedProbability, SampleBlock, SampleLevel, ScreenedChannel,
     SensorHealthDisplay, ShapeValue, Soundness, SpectrumDisplay, Standing, StateMessage, Status,
     StreamState, ToldMotion, ToldSamples, UndecidedBecause, WaveformDisplay, fit_in_words,
     is_without_date, reported_pace,

@@ -14,7 +14,9 @@ export class EventsTab {
     this.none = h("p", { class: "group-text" }, "None since the dashboard was started.");
     const heads = h("tr", {}, COLUMNS.events.map((text) => (text ? h("th", { scope: "col" }, text) : h("td"))));
     this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Events" }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
-    this.element = h("section", { class: "card" }, h("h2", {}, "Events"), this.none, this.table);
+    // The list is a page of its own, which prints well.
+    const reports = h("p", { class: "group-text", hidden: !page.about.earthquakes }, h("a", { href: report(page.name, "index") }, "Earthquake reports"));
+    this.element = h("section", { class: "card" }, h("h2", {}, "Events"), reports, this.none, this.table);
   }
 
   update({ events, changes }) {
@@ -22,19 +24,25 @@ export class EventsTab {
       const { sign, word, level } = STATES[change.state];
       return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: `${sign} alert ${word}`, why: change.why, level, parameter: change.parameter };
     };
-    const ofEvent = ({ time_ns, subject, what, why }) => ({ key: `${subject}/${what}`, time_ns, about: subject, what, why, level: "learning", parameter: null });
+    const ofEvent = ({ time_ns, kind, subject, what, why }) => ({ key: `${subject}/${what}`, time_ns, about: subject, what, why, level: "learning", parameter: null, report: kind === "earthquake-report" ? subject : null });
     const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
     this.none.hidden = all.length > 0;
     this.table.hidden = all.length === 0;
     keyed(this.rows, all, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why }, event) => setSentence(why, event.why));
   }
 
-  #make({ time_ns, about, what, level, parameter }) {
+  #make({ time_ns, about, what, level, parameter, report: made }) {
     const at = time_ns / 1e9;
     const why = h("p", { class: "why" });
+    const read = made ? [h("a", { class: "button small", href: report(this.page.name, made) }, "Report"), " "] : [];
     const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": `Show ${about} at ${time(at)}` }, "Show");
     const name = h("strong");
     setText(name, what);
-    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, show)), why };
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, read, show)), why };
   }
+}
+
+/** Returns the address of a report of an earthquake, or of the list of all. */
+function report(structure, name) {
+  return `/events/${encodeURIComponent(structure)}/${encodeURIComponent(name)}.html`;
 }

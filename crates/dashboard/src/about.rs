@@ -19,6 +19,8 @@ pub(crate) struct About {
     pub(crate) conditions: Vec<AboutCondition>,
     /// Names of the quantities that are judged for lasting change.
     pub(crate) judged: Vec<String>,
+    /// Whether earthquakes are reported.
+    pub(crate) earthquakes: bool,
     /// Modes that are followed.
     pub(crate) modes: Vec<AboutMode>,
     pub(crate) rules: Vec<AboutRule>,
@@ -128,6 +130,7 @@ impl About {
             noise: noise.collect(),
             conditions: conditions.collect(),
             judged: judged.map(|quantity| quantity.name.clone()).collect(),
+            earthquakes: structure.earthquakes().is_some(),
             modes: modes.collect(),
             rules: rules.collect(),
             drawing: structure.drawing(),

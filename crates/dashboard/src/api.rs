@@ -9,6 +9,7 @@ use crate::live;
 use crate::metrics::{self, metrics};
 use crate::overview::overview;
 use crate::page::{ASSETS, TRANSPORT_SECURITY, with_headers};
+use crate::reports::WantedReport;
 use crate::server::{Server, now_ns};
 use crate::serving::ClientAddress;
 use crate::store::Store;
@@ -72,6 +73,7 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             Method::POST,
             post(acknowledge),
         ),
+        ("/events/{structure}/{file}", Method::GET, get(read_report)),
         ("/api/alerts", Method::GET, get(alerts)),
         (LIVE_DATA_PATH, Method::GET, get(listen)),
         (SESSION_PATH, Method::GET, get(entrance::who)),
@@ -321,6 +323,16 @@ async fn read_course(
         Format::Json => Json(course).into_response(),
         Format::Csv => csv(&format!("{structure}-{quantity}"), course.csv()),
     })
+}
+
+async fn read_report(
+    State(server): Shared,
+    Path((structure, file)): Path<(String, String)>,
+) -> Result<Response, Mistake> {
+    drop(find(&server, &structure)?); // names the structures there are
+    let wanted = WantedReport::parse(&structure, &file)?;
+    let page = server.ask_report(&structure, &wanted.report).await;
+    wanted.response(page)
 }
 
 #[derive(Debug, Deserialize)]

@@ -6,7 +6,7 @@ use crate::overview::{Overview, overview};
 use crate::store::Store;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, JudgementCourse, Keys,
-    Name, SpanQuery,
+    Name, ReportPage, SpanQuery,
 };
 use spandrel_listener::Input;
 use spandrel_service::Clock;
@@ -22,6 +22,9 @@ const MOST_CLIENTS: usize = 64;
 
 /// Time limit for a reply of the service judge, which may be learning a reference.
 const JUDGE_WITHIN: Duration = Duration::from_secs(10);
+
+/// Time limit for a reply of the service reports.
+const REPORT_WITHIN: Duration = Duration::from_secs(5);
 
 /// Time limit for a reply of the history service.
 const HISTORY_WITHIN: Duration = Duration::from_secs(3);
@@ -239,6 +242,20 @@ impl Server {
         // If several services reply, take the reply with the most days.
         let courses = answers.into_iter().map(|(_, course)| course);
         courses.max_by_key(|course| course.rows.len())
+    }
+
+    /// Queries the service reports for a report of an earthquake, or for the list of all. Returns
+    /// `None` without a reply in time, as for a report that does not exist.
+    pub(crate) async fn ask_report(&self, structure: &str, report: &Name) -> Option<ReportPage> {
+        let mut structures = self.structures.iter();
+        let (keys, _) = structures.find(|(keys, _)| keys.structure().as_str() == structure)?;
+        let key = keys.report(report);
+        let answers = self.bus.ask::<ReportPage>(&key, REPORT_WITHIN);
+        let answers = answers
+            .await
+            .inspect_err(|error| warn!(%error, "cannot query the service reports"))
+            .ok()?;
+        answers.into_iter().map(|(_, page)| page).next()
     }
 
     /// Reserves a place for one more client. Returns `None` if all places are taken.

@@ -345,7 +345,10 @@ impl Store {
                 | EventKind::ModeLost
                 | EventKind::ModeFound
                 | EventKind::ModePaired
-                | EventKind::ModeParted => false,
+                | EventKind::ModeParted
+                | EventKind::Earthquake
+                | EventKind::EarthquakeReport
+                | EventKind::EarthquakeUnreported => false,
             };
         }
         self.events.push_front(event);

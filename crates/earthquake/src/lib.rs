@@ -28,6 +28,7 @@
 //! - [`mod@motion`]: peak, rms, Arias intensity and significant duration of a channel
 //! - [`oscillator`]: spectral acceleration
 //! - [`phase`]: windows of a record, and whether they are quiet, shaking, settling or weak motion
+//! - [`detection`]: when an earthquake begins and ends in a stream of frames, and what is recorded
 //! - [`course`]: the course of a stiffness over the windows
 //! - [`equivalent`]: the equivalent-linear stiffness of the whole structure in each window
 //! - [`between`]: the scatter between events
@@ -42,6 +43,8 @@ mod error;
 pub mod motion;
 pub mod oscillator;
 
+pub mod detection;
+
 pub mod course;
 pub mod equivalent;
 pub mod phase;
@@ -53,6 +56,9 @@ pub mod sequence;
 pub use amplitude::Expected;
 pub use between::{Coverage, EventValue, Interval, Pooled, leave_one_out};
 pub use course::{CoursePoint, EventCourse, FrameEstimate, WeakMotion};
+pub use detection::{
+    Cut, CutKind, Detected, Detection, DetectionSettings, DetectionState, Due, Ending,
+};
 pub use equivalent::{Accelerometer, MeasuredMotion, Mode};
 pub use error::EarthquakeError;
 pub use motion::{IntensityFigures, MotionFigures, intensity_figures, motion_figures};

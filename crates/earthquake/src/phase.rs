@@ -87,6 +87,12 @@ pub struct Window {
     pub phase: Phase,
 }
 
+/// Returns the length of a window (s) for a fundamental frequency (Hz).
+#[must_use]
+pub fn window_s(fundamental_hz: f64) -> f64 {
+    (PERIODS / fundamental_hz).max(SHORTEST_S)
+}
+
 /// Divides the responses into windows. The mean of each channel counts as its offset.
 ///
 /// Each element of `responses` is one channel, frame by frame, `NaN` where a sample is missing. All
@@ -121,7 +127,7 @@ pub fn windows(
     )?;
     let frames = responses.iter().map(|channel| channel.len()).max();
     let frames = frames.unwrap_or(0);
-    let length = ((PERIODS / fundamental_hz).max(SHORTEST_S) * rate_hz).round() as usize;
+    let length = (window_s(fundamental_hz) * rate_hz).round() as usize;
     let count = (frames / length.max(1)).max(usize::from(frames > 0));
     let means: Vec<f64> = responses
         .iter()

@@ -152,6 +152,7 @@ mod tests {
                 .iter()
                 .map(|node| name(node))
                 .collect::<BTreeSet<_>>(),
+            earthquake: None,
         };
         advice(&report, &scene)
     }

@@ -6,7 +6,7 @@ use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     AlertMessage, ChannelMonitoring, FitReasons, FitVerdict, JudgementDisplay, MonitoringDisplay,
-    MonitoringState, Name, fit_in_words, is_without_date,
+    MonitoringState, Name, ReportPage, fit_in_words, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -253,6 +253,21 @@ pub(crate) struct Facts {
     pub(crate) public_url: Option<String>,
 }
 
+/// The latest earthquake of a structure.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Earthquake {
+    /// Name of its report.
+    pub(crate) report: String,
+    /// Time of its first strong motion, ns since the Unix epoch, UTC.
+    pub(crate) time_ns: i64,
+}
+
+/// Time after an earthquake during which alerts are connected with it: until its last usual report
+/// (ns).
+const CONNECTED_NS: i64 = 86_400_000_000_000;
+/// An alert may be decided on frames shortly before the strong motion is recognised (ns).
+const BEFORE_NS: i64 = 60_000_000_000;
+
 /// What is known of a structure at the moment of a report.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scene<'s> {
@@ -265,12 +280,17 @@ pub(crate) struct Scene<'s> {
     pub(crate) fit: Option<FitVerdict>,
     /// Nodes that were present before and are not any longer.
     pub(crate) absent: &'s BTreeSet<Name>,
+    /// The latest earthquake.
+    pub(crate) earthquake: Option<&'s Earthquake>,
 }
 
 impl Scene<'_> {
     /// Composes the content of a report.
     pub(crate) fn compose(&self, report: Report) -> Content {
-        let advice = advice(&report, self);
+        let mut advice = advice(&report, self);
+        if let Report::Alert(alert) = &report {
+            advice += &self.earthquake_report(alert);
+        }
         let (part, moment_ns) = match &report {
             Report::Alert(alert) => (Some(&alert.parameter), Some(alert.time_ns)),
             Report::Monitoring(display) => (None, display.measured_ns),
@@ -302,6 +322,22 @@ impl Scene<'_> {
             link: self.link(part, moment_ns),
         };
         Content::new(report, circumstances)
+    }
+
+    /// Returns where the report of an earthquake is that may have caused an alert. Empty without one.
+    fn earthquake_report(&self, alert: &AlertMessage) -> String {
+        let is_connected = |quake: &&Earthquake| {
+            let after_ns = alert.time_ns.saturating_sub(quake.time_ns);
+            (-BEFORE_NS..=CONNECTED_NS).contains(&after_ns)
+        };
+        let Some(quake) = self.earthquake.filter(is_connected) else {
+            return String::new();
+        };
+        let base = self.facts.public_url.as_deref().unwrap_or_default();
+        let path = ReportPage::path(self.facts.structure.as_str(), &quake.report);
+        format!(
+            " The report of the earthquake is at {base}{path} within a minute after the motion."
+        )
     }
 
     fn quality(&self) -> String {
@@ -383,6 +419,48 @@ mod tests {
     use crate::testing::{alert, monitoring, name};
     use spandrel_bus::AlertState;
 
+    #[test]
+    fn notice_of_an_alert_in_an_earthquake_links_to_its_report() {
+        let (quake_s, day_s) = (1_700_000_000_i64, 86_400);
+        let advice = |alert_s: i64| {
+            let facts = Facts {
+                structure: name("house"),
+                title: String::new(),
+                place: String::new(),
+                parameters: Vec::new(),
+                channels: Vec::new(),
+                public_url: Some("https://bridge.example".to_owned()),
+            };
+            let quake = Earthquake {
+                report: "2023-11-14t22-13-20z".to_owned(),
+                time_ns: quake_s * 1_000_000_000,
+            };
+            let scene = Scene {
+                facts: &facts,
+                alerts: &BTreeMap::new(),
+                monitoring: None,
+                origin: Origin::Measured,
+                fit: None,
+                absent: &BTreeSet::new(),
+                earthquake: Some(&quake),
+            };
+            let mut raised = alert(5, AlertState::Raised);
+            raised.time_ns = alert_s * 1_000_000_000;
+            let content = scene.compose(Report::Alert(raised));
+            content.circumstances.advice
+        };
+        let link = "https://bridge.example/events/house/2023-11-14t22-13-20z.html";
+        assert!(
+            advice(quake_s + 5).contains(link),
+            "{}",
+            advice(quake_s + 5)
+        );
+        assert!(advice(quake_s + day_s - 5).contains(link));
+        for without in [quake_s - 3600, quake_s + day_s + 5] {
+            assert!(!advice(without).contains("/events/"), "{}", advice(without));
+        }
+    }
+
     fn compose(report: Report, alerts: &[AlertMessage], public_url: Option<&str>) -> Content {
         let facts = Facts {
             structure: name("house"),
@@ -405,6 +483,7 @@ mod tests {
             origin: Origin::Measured,
             fit: Some(FitVerdict::Supported),
             absent: &BTreeSet::new(),
+            earthquake: None,
         }
         .compose(report)
     }

@@ -1,6 +1,6 @@
 //! Connects the outbox to the bus and to the receivers.
 
-use crate::content::{Facts, Report, Scene, alert_key, iso_8601, judgement_key};
+use crate::content::{Earthquake, Facts, Report, Scene, alert_key, iso_8601, judgement_key};
 use crate::error::NotifyError;
 use crate::memory::{Memory, Recalled, Situation};
 use crate::muting::Change;
@@ -31,6 +31,7 @@ const NEEDS: Needs = Needs {
         DisplayTopic::Statuses,
         DisplayTopic::Monitoring,
         DisplayTopic::Judgements,
+        DisplayTopic::Events,
         DisplayTopic::Alerts,
     ],
     services: &[Service::Alert, Service::Sensor],
@@ -114,6 +115,8 @@ struct Source {
     changes: VecDeque<(JudgementDisplay, Duration)>,
     /// Key of the last change of each quantity.
     judged: BTreeMap<Name, String>,
+    /// The latest earthquake since the start of the service.
+    earthquake: Option<Earthquake>,
     /// Number of alerts received.
     taken: u64,
     simulated: LiveWatch,
@@ -189,6 +192,7 @@ impl NotifyService {
                     fresh: fresh.collect(),
                     changes: VecDeque::new(),
                     judged: BTreeMap::new(),
+                    earthquake: None,
                     taken: 0,
                     simulated: bus.watch_live(keys.all_simulated()).await?,
                     maintenance: bus
@@ -408,6 +412,12 @@ impl Source {
                 Input::StandingAlert(alert) => told.standing.push(alert.clone()),
                 Input::Judgement(display) => self.take_judgement(display, outbox, now),
                 Input::Monitoring(display) => self.sight.take(display.clone(), now),
+                Input::Event(event) if event.kind == EventKind::Earthquake => {
+                    self.earthquake = Some(Earthquake {
+                        report: event.subject.clone(),
+                        time_ns: event.time_ns,
+                    });
+                }
                 _ => {}
             }
             self.state.handle(input, &mut Vec::new());
@@ -548,6 +558,7 @@ impl Source {
             origin: self.origins.origin(),
             fit: newest_fit(&self.state),
             absent: &absent.filter(|node| !present.contains(node)).collect(),
+            earthquake: self.earthquake.as_ref(),
         };
         for report in reports {
             outbox.take(&scene.compose(report), moment);

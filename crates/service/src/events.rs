@@ -59,6 +59,7 @@ fn level(event: &Event) -> Level {
         | EventKind::HistoryBack
         | EventKind::ModeFound
         | EventKind::ModeParted
+        | EventKind::EarthquakeReport
         | EventKind::ModeProposed
         | EventKind::StateBack => Level::INFO,
         EventKind::Restart
@@ -78,6 +79,8 @@ fn level(event: &Event) -> Level {
         | EventKind::LastingChange
         | EventKind::ModeLost
         | EventKind::ModePaired
+        | EventKind::Earthquake
+        | EventKind::EarthquakeUnreported
         | EventKind::StateLost => Level::WARN,
     }
 }

@@ -72,6 +72,9 @@ pub enum Command {
     /// Decide on alerts from estimates.
     #[command(after_help = "Example: spandrel alert --config spandrel.toml")]
     Alert(ServiceArguments),
+    /// Find earthquakes in the frames, keep their recordings and report them.
+    #[command(after_help = "Example: spandrel reports --config spandrel.toml")]
+    Reports(ServiceArguments),
     /// Store estimates, alerts and events in a database, and answer queries for past data.
     #[command(
         after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem"
@@ -219,6 +222,7 @@ impl Command {
             | Self::Fuse(_)
             | Self::Alert(_)
             | Self::Judge(_)
+            | Self::Reports(_)
             | Self::History(_)
             | Self::Notify(_)
             | Self::Dashboard(_) => Some(Scope::Peers),
@@ -754,17 +758,18 @@ pub struct EarthquakeArguments {
     /// The index lists all reports in the folder, also those of other structures.
     #[arg(long, value_name = "DIR")]
     pub report: PathBuf,
-    /// Peak acceleration of the structure above which motion is strong (m/s²).
+    /// Peak acceleration of the structure above which motion is strong (m/s²) [default: that of
+    /// the table [earthquakes] of the structure file, otherwise 1].
     ///
     /// Only weaker motion can show a lasting loss.
-    #[arg(long, default_value_t = 1.0, value_name = "M/S2", value_parser = positive, allow_negative_numbers = true)]
-    pub strong: f64,
-    /// Loss of stiffness that matters, as a share.
-    #[arg(long, default_value_t = 0.05, value_name = "SHARE", value_parser = below_1, allow_negative_numbers = true)]
-    pub loss: f64,
-    /// Probability from which a loss is raised.
-    #[arg(long, default_value_t = 0.99, value_name = "PROBABILITY", value_parser = below_1, allow_negative_numbers = true)]
-    pub credibility: f64,
+    #[arg(long, value_name = "M/S2", value_parser = positive, allow_negative_numbers = true)]
+    pub strong: Option<f64>,
+    /// Loss of stiffness that matters, as a share [default: that of the table, otherwise 0.05].
+    #[arg(long, value_name = "SHARE", value_parser = below_1, allow_negative_numbers = true)]
+    pub loss: Option<f64>,
+    /// Probability from which a loss is raised [default: that of the table, otherwise 0.99].
+    #[arg(long, value_name = "PROBABILITY", value_parser = below_1, allow_negative_numbers = true)]
+    pub credibility: Option<f64>,
 }
 
 #[derive(Debug, Args)]

@@ -63,6 +63,7 @@ pub fn run(command: Command) -> Result<(), AppError> {
         }
         Command::Fuse(arguments) => run::one(&arguments, run::Services::FUSE, Share::ALL),
         Command::Alert(arguments) => run::one(&arguments, run::Services::ALERT, Share::ALL),
+        Command::Reports(arguments) => run::one(&arguments, run::Services::REPORTS, Share::ALL),
         Command::History(arguments) => run::one(&arguments, run::Services::HISTORY, Share::ALL),
         Command::Notify(arguments) => notify::run(&arguments),
         Command::Maintenance(arguments) => maintenance::run(&arguments),

@@ -15,6 +15,7 @@ use spandrel_modal::ModalError;
 use spandrel_modes::ModesError;
 use spandrel_notify::NotifyError;
 use spandrel_record::RecordError;
+use spandrel_reports::ReportsError;
 use spandrel_sensor::SensorError;
 use spandrel_structure::StructureError;
 use spandrel_structure::text_encoding::WrongEncoding;
@@ -233,6 +234,9 @@ pub enum AppError {
     /// The service that follows natural frequencies failed.
     #[error(transparent)]
     Modes(#[from] ModesError),
+    /// The reports of earthquakes failed.
+    #[error(transparent)]
+    Reports(#[from] ReportsError),
     /// The dashboard failed.
     #[error(transparent)]
     Dashboard(#[from] DashboardError),
@@ -261,6 +265,14 @@ pub enum AppError {
         "no structure has a table [modal]; spandrel modes --declare prints one for a recording"
     )]
     NothingToFollow,
+    /// No structure has a table `[earthquakes]`.
+    #[error(
+        "no structure has a table [earthquakes]; spandrel earthquake reports recordings instead"
+    )]
+    NothingToReport,
+    /// The service has no place for its recordings and reports.
+    #[error("reports of earthquakes need a state folder, but state.folder is \"none\"")]
+    NoFolderOfReports,
     /// The files are not recordings and at most one structure file.
     #[error("{found}, must be one or more recordings and at most one structure file (.toml)")]
     FilesOfModes {
@@ -646,6 +658,8 @@ impl AppError {
             | Self::NothingToIdentify { .. }
             | Self::NothingToJudge
             | Self::NothingToFollow
+            | Self::NothingToReport
+            | Self::NoFolderOfReports
             | Self::FilesOfModes { .. }
             | Self::UnlikeRecordings { .. }
             | Self::ReadingOfStructure
@@ -667,6 +681,7 @@ impl AppError {
             Self::Fuse(_)
             | Self::Judging(_)
             | Self::Modes(_)
+            | Self::Reports(_)
             | Self::FiguresMissed { .. }
             | Self::ChannelsMissing { .. }
             | Self::NothingMeasured

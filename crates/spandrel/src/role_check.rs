@@ -40,6 +40,11 @@ impl Need {
         Self::new("publish judgements", Right::Put, KeyFamily::Judgement);
     pub const PUT_MODES: Self =
         Self::new("publish natural frequencies", Right::Put, KeyFamily::Mode);
+    pub const ANSWER_REPORTS: Self = Self::new(
+        "answer queries for reports",
+        Right::Answer,
+        KeyFamily::Report,
+    );
     pub const ANSWER_HISTORY: Self =
         Self::new("answer history queries", Right::Answer, KeyFamily::History);
     pub const NOTIFY: Self = Self::new(

@@ -1,5 +1,6 @@
 //! Starts services, monitors them, and stops them in the direction of the data flow.
 
+use crate::earthquake::live::LiveReports;
 use crate::error::AppError;
 use crate::settings::Settings;
 use crate::state::State;
@@ -17,6 +18,7 @@ use spandrel_ingest::{IngestPlan, IngestService};
 use spandrel_judging::{JudgePlanned, JudgeService};
 use spandrel_modes::{ModesPlan, ModesService};
 use spandrel_notify::{NotifyPlan, NotifyService, NotifySettings};
+use spandrel_reports::{ReportsPlan, ReportsService};
 use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
@@ -42,6 +44,8 @@ pub struct Watched {
     pub keys: Keys,
     /// Baseline of the structure, if there is a baseline file.
     pub baseline: Option<Baseline>,
+    /// Structure file, to which matrix files are relative.
+    pub file: PathBuf,
 }
 
 /// Reads the structures that the arguments specify, or else those of the configuration.
@@ -170,6 +174,7 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
         structure,
         keys,
         baseline,
+        file: path.to_owned(),
     })
 }
 
@@ -192,7 +197,7 @@ impl Share<'_> {
 }
 
 /// The order in which services stop: that of the data flow. They start in the opposite order.
-const STOP_ORDER: [Service; 10] = [
+const STOP_ORDER: [Service; 11] = [
     Service::Feed,
     Service::Ingest,
     Service::Identify,
@@ -200,6 +205,7 @@ const STOP_ORDER: [Service; 10] = [
     Service::Alert,
     Service::Modes,
     Service::Judge,
+    Service::Reports,
     Service::History,
     Service::Notify,
     Service::Dashboard,
@@ -212,6 +218,8 @@ pub struct Running {
     monitored: Vec<Monitored>,
     /// Baseline of each structure, in the same order.
     baselines: Vec<Option<Baseline>>,
+    /// File of each structure, in the same order.
+    files: Vec<PathBuf>,
     stages: Vec<Stage>,
     pool: Option<FilterPool>,
 }
@@ -306,6 +314,7 @@ impl Running {
                 .iter()
                 .map(|watched| watched.baseline.clone())
                 .collect(),
+            files: watched.iter().map(|watched| watched.file.clone()).collect(),
             stages: STOP_ORDER.map(Stage::new).into(),
             pool: None,
         }
@@ -547,6 +556,37 @@ impl Running {
                 monitored,
             };
             self.start::<JudgeService>(Service::Judge, &of, plan)
+                .await?;
+        }
+        Ok(())
+    }
+
+    /// Starts the reports of each structure that has a table `[earthquakes]`.
+    ///
+    /// # Errors
+    /// An instance cannot start.
+    pub async fn start_reports(&mut self, state: Option<&State>) -> Result<(), AppError> {
+        let files = self.files.clone();
+        for (monitored, file) in self.monitored.clone().into_iter().zip(files) {
+            let Some(plan) = monitored.structure.earthquakes() else {
+                continue;
+            };
+            let of = monitored.structure.name().to_owned();
+            let Some(state) = state else {
+                warn!(
+                    structure = of,
+                    "no state folder, so that no earthquake is reported"
+                );
+                continue;
+            };
+            let maker = LiveReports::new(monitored.structure.clone(), &file, plan);
+            let plan = ReportsPlan {
+                instance: self.instance(Service::Reports),
+                folder: state.events(&monitored.keys),
+                maker: Arc::new(maker),
+                monitored,
+            };
+            self.start::<ReportsService>(Service::Reports, &of, plan)
                 .await?;
         }
         Ok(())

@@ -16,6 +16,7 @@ use tracing::{debug, info};
 /// Folders of a structure.
 const RECORDING: &str = "recording";
 const CHECKPOINTS: &str = "checkpoints";
+const EVENTS: &str = "events";
 /// Permissions of a new folder. Only the owner has access.
 const FOLDER_MODE: u32 = 0o700;
 
@@ -155,6 +156,11 @@ impl State {
             folder: self.of(keys).join(CHECKPOINTS),
             every: self.checkpoint_every,
         }
+    }
+
+    /// Returns the folder of a structure's recordings and reports of earthquakes.
+    pub fn events(&self, keys: &Keys) -> PathBuf {
+        self.of(keys).join(EVENTS)
     }
 
     /// Creates the folders of a structure again if they are missing and the state folder exists.

@@ -8,6 +8,7 @@ mod chain;
 mod classes;
 mod condition;
 mod damping;
+mod earthquakes;
 mod excitation;
 mod filter;
 mod force_field;
@@ -328,6 +329,7 @@ impl<'t> StructureFile<'t> {
             },
         );
         let conditions = condition::read_conditions(&mut file);
+        let earthquakes = earthquakes::read_earthquakes(file.table("earthquakes"), &nodes);
         file.finish();
         Some(Structure {
             text: self.text.to_owned(),
@@ -359,6 +361,7 @@ impl<'t> StructureFile<'t> {
             record: record?,
             simulation,
             conditions,
+            earthquakes,
             excitation_errors: Computed::default(),
             analysis_basis: Computed::default(),
             modes: Arc::new(modes?),
@@ -367,8 +370,9 @@ impl<'t> StructureFile<'t> {
 }
 
 /// Tables that need a model.
-const OF_MODELS: [&str; 11] = [
+const OF_MODELS: [&str; 12] = [
     "damping",
+    "earthquakes",
     "excitation",
     "parameter",
     "filter",

@@ -30,6 +30,7 @@
 //! - [`EstimatedResponse`]: requested displacements and velocities that no sensor measures
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
+//! - [`EarthquakePlan`]: what counts as an earthquake
 //! - [`JudgedStructure`], [`JudgePlan`]: what is judged, also without a model
 //! - [`ModalPlan`]: how natural frequencies are followed, and which modes have a name
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
@@ -48,6 +49,7 @@
 
 mod alert_rule;
 mod condition;
+mod earthquake_plan;
 mod error;
 mod estimated_response;
 mod excitation;
@@ -109,6 +111,7 @@ pub use classes::StructureClasses;
 pub use common_motion::CommonMotion;
 pub use condition::Condition;
 pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
+pub use earthquake_plan::EarthquakePlan;
 pub use error::{Diagnostic, StructureError};
 pub use estimated_response::EstimatedResponse;
 pub use excitation::Excitation;

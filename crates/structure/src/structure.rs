@@ -4,6 +4,7 @@ use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
 use crate::computed::Computed;
 use crate::condition::Condition;
+use crate::earthquake_plan::EarthquakePlan;
 use crate::error::{Diagnostic, StructureError};
 use crate::estimated_response::EstimatedResponse;
 use crate::excitation::{Action, Excitation};
@@ -65,6 +66,7 @@ pub struct Structure {
     pub(crate) alert_rules: Vec<AlertRule>,
     pub(crate) judge: Option<JudgePlan>,
     pub(crate) modal: Option<ModalPlan>,
+    pub(crate) earthquakes: Option<EarthquakePlan>,
     pub(crate) record: RecordMap,
     pub(crate) simulation: SimulationPlan,
     pub(crate) conditions: Vec<Condition>,
@@ -157,13 +159,20 @@ impl Structure {
 
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
-    /// It is the file without its comments, alert rules, conditions, followed modes, simulation,
-    /// record table, description and place, followed by the matrices that it names.
+    /// It is the file without its comments, alert rules, conditions, earthquakes, followed modes,
+    /// simulation, record table, description and place, followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
         let mut table: toml::Table = self.text.parse().unwrap_or_default();
-        for of_others in ["alert", "condition", "modal", "simulation", "record"] {
+        for of_others in [
+            "alert",
+            "condition",
+            "earthquakes",
+            "modal",
+            "simulation",
+            "record",
+        ] {
             table.remove(of_others);
         }
         if let Some(structure) = table
@@ -414,6 +423,12 @@ impl Structure {
     #[must_use]
     pub fn judge(&self) -> Option<&JudgePlan> {
         self.judge.as_ref()
+    }
+
+    /// Returns what counts as an earthquake. `None` without a table `[earthquakes]`.
+    #[must_use]
+    pub fn earthquakes(&self) -> Option<&EarthquakePlan> {
+        self.earthquakes.as_ref()
     }
 
     /// Returns how natural frequencies are followed. `None` without a table `[modal]`.

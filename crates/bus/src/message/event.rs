@@ -74,6 +74,12 @@ pub enum EventKind {
     ModeParted,
     /// The clock of a node has moved against those of the other nodes, but its samples are used.
     ClockMoved,
+    /// Strong motion has begun. A report follows.
+    Earthquake,
+    /// A report of an earthquake is ready. The subject names it.
+    EarthquakeReport,
+    /// A report of an earthquake is not made, or waits.
+    EarthquakeUnreported,
 }
 
 /// One event with its reason.

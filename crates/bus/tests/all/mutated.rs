@@ -10,9 +10,9 @@ use spandrel_bus::{
     Format, FrameBlock, Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay,
     LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message,
     ModeDisplay, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage,
-    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, SampleBlock, ScreenedChannel,
-    SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, StreamState, ToldMotion,
-    ToldSamples, WaveformDisplay,
+    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, ReportPage, SampleBlock,
+    ScreenedChannel, SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, StreamState,
+    ToldMotion, ToldSamples, WaveformDisplay,
 };
 
 use std::path::Path;
@@ -309,6 +309,10 @@ fn messages() -> Vec<(&'static str, Vec<u8>, Decode)> {
              \"interval\":{\"level\":0.95,\"low\":0.9,\"high\":1.1},\"residual\":-1.0,\"ln_evidence\":1.0,\
              \"ln_threshold\":8.2,\"cusum_share\":0.1}},{\"day_ns\":86400000000000,\"state\":\"no-statement\",\
              \"change\":null,\"sentence\":\"\",\"epochs\":0,\"measured\":null,\"conditions\":[],\"expectation\":null}]}",
+        ),
+        text::<ReportPage>(
+            "{\"structure\":\"demo\",\"report\":\"2022-12-20t10-34-01z\",\"html\":\"<p>strong</p>\",\
+             \"json\":\"{}\"}",
         ),
         text::<Annotation>(
             "{\"structure\":\"demo\",\"quantity\":\"storey-2\",\"time_ns\":9,\"from_ns\":5,\"to_ns\":8,\"kind\":\"repair\",\

@@ -343,6 +343,7 @@ fn watched(
             structure,
             keys,
             baseline: None,
+            file: PathBuf::new(),
         })
     };
     structures.into_iter().map(one).collect()

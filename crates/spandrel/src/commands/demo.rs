@@ -17,7 +17,7 @@ use spandrel_bus::{
 use spandrel_service::Clock;
 use spandrel_structure::Structure;
 use std::io::IsTerminal;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The built-in structure, which is also an example of the documentation.
 const BUILT_IN: &str = include_str!("../../../../docs/examples/demo.toml");
@@ -54,6 +54,10 @@ pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
         structure,
         keys,
         baseline: None,
+        file: arguments
+            .structure
+            .clone()
+            .unwrap_or_else(|| PathBuf::from(BUILT_IN_NAME)),
     }];
     block_on(async {
         let bus = Bus::open(&settings.bus).await?;

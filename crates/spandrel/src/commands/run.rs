@@ -1,5 +1,5 @@
-//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `modes`, `judge`, `history` and
-//! `notify`: run services until stopped.
+//! `spandrel run`, `feed`, `ingest`, `identify`, `fuse`, `alert`, `modes`, `judge`, `reports`,
+//! `history` and `notify`: run services until stopped.
 
 use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
@@ -41,6 +41,7 @@ impl Services {
         Service::Alert,
         Service::Modes,
         Service::Judge,
+        Service::Reports,
         Service::History,
         Service::Notify,
         Service::Dashboard,
@@ -59,6 +60,8 @@ impl Services {
     pub const MODES: Self = Self(&[Service::Modes]);
     /// Only the judgement of lasting changes.
     pub const JUDGE: Self = Self(&[Service::Judge]);
+    /// Only the reports of earthquakes.
+    pub const REPORTS: Self = Self(&[Service::Reports]);
     /// Only the history.
     pub const HISTORY: Self = Self(&[Service::History]);
     /// Only notifications.
@@ -142,6 +145,10 @@ impl Plan {
         if services == Services::MODES && !watched.iter().any(has_modal) {
             return Err(AppError::NothingToFollow);
         }
+        let is_reported = |watched: &Watched| watched.structure.earthquakes().is_some();
+        if services == Services::REPORTS && !watched.iter().any(is_reported) {
+            return Err(AppError::NothingToReport);
+        }
         if settings.isolated {
             settings.bus.access_control = Some(isolation_of(&settings, services, &watched)?);
         }
@@ -173,12 +180,16 @@ impl Plan {
             || services.has(Service::Alert)
             || services.has(Service::Modes)
             || services.has(Service::Judge)
+            || services.has(Service::Reports)
             || services.has(Service::Notify);
         let state = if remembers {
             settings.state.state()?
         } else {
             None
         };
+        if services == Services::REPORTS && state.is_none() {
+            return Err(AppError::NoFolderOfReports);
+        }
         Ok(Self {
             settings,
             watched,
@@ -211,6 +222,10 @@ impl Plan {
             .watched
             .iter()
             .any(|watched| watched.structure.modal().is_some());
+        let any_reported = self
+            .watched
+            .iter()
+            .any(|watched| watched.structure.earthquakes().is_some());
         let is_filtered = |watched: &Watched| watched.structure.is_filtered();
         let (any_fused, any_whole) = (
             self.watched.iter().any(is_fused),
@@ -238,6 +253,10 @@ impl Plan {
                 Need::PUT_JUDGEMENTS,
             ),
             (services.has(Service::Modes) && any_modal, Need::PUT_MODES),
+            (
+                services.has(Service::Reports) && any_reported,
+                Need::ANSWER_REPORTS,
+            ),
             (self.database.is_some(), Need::ANSWER_HISTORY),
             (
                 services.has(Service::Notify) && !self.settings.notify.is_empty(),
@@ -307,6 +326,9 @@ impl Plan {
         }
         if services.has(Service::Judge) {
             running.start_judge().await?;
+        }
+        if services.has(Service::Reports) {
+            running.start_reports(state.as_ref()).await?;
         }
         if services.has(Service::Modes) {
             running.start_modes().await?;

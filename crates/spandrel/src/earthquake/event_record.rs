@@ -8,7 +8,7 @@ use spandrel_earthquake::{
     IntensityFigures, MotionFigures, intensity_figures, motion_figures, spectral_acceleration,
 };
 use spandrel_faults::{ChannelHealth, SensorCheck};
-use spandrel_record::{ReadOptions, RecordedChannel, RecordedFile};
+use spandrel_record::{ColumnMapping, CsvReader, ReadOptions, RecordedChannel, RecordedFile};
 use spandrel_sensor::{Row, open_record, recorded_rows};
 use spandrel_structure::{Channel, Quantity, Structure};
 use std::path::{Path, PathBuf};
@@ -80,8 +80,22 @@ impl EventRecord {
     /// # Errors
     /// The recording does not match the structure file, or has too few samples for its length.
     pub fn read(structure: &Structure, path: &Path) -> Result<Self, AppError> {
-        let rows: Vec<Row> =
-            recorded_rows(open_record(structure, path)?, 0).collect::<Result<_, _>>()?;
+        let rows = recorded_rows(open_record(structure, path)?, 0);
+        Self::from_rows(structure, path, rows.collect::<Result<_, _>>()?)
+    }
+
+    /// Reads a recording of frames: a table with a column `time` (s since 1970-01-01 UTC) and one
+    /// column per channel (SI).
+    ///
+    /// # Errors
+    /// As for [`EventRecord::read`].
+    pub fn read_frames(structure: &Structure, path: &Path) -> Result<Self, AppError> {
+        let mapping = ColumnMapping::by_name(structure.channels().map(Channel::name));
+        let rows = recorded_rows(CsvReader::open(path, &mapping)?, 0);
+        Self::from_rows(structure, path, rows.collect::<Result<_, _>>()?)
+    }
+
+    fn from_rows(structure: &Structure, path: &Path, rows: Vec<Row>) -> Result<Self, AppError> {
         let start_ns = rows.first().map_or(0, |row| row.time_ns);
         let rate_hz = structure.sampling_rate_hz();
         let frame = |row: &Row| {

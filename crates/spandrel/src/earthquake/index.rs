@@ -3,12 +3,12 @@
 use super::page::{escape, head};
 use super::report::KIND;
 use crate::error::AppError;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::path::Path;
 
 /// What the list shows of a report.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Entry {
     kind: String,
     structure: String,
@@ -77,8 +77,8 @@ fn is_later(a: &Entry, b: &Entry) -> bool {
     }
 }
 
-/// Returns the page of the list.
-pub fn html(entries: &[Entry]) -> String {
+/// Returns the page of the list, with sentences about what waits.
+pub fn html(entries: &[Entry], waiting: &[String]) -> String {
     let mut page = head("Earthquake reports");
     page += "<header>\n<p class=\"kicker\">Earthquake reports</p>\n<h1>Who needs an inspector first</h1>\n\
              </header>\n<section>\n<table class=\"list\">\n<thead><tr><th scope=\"col\"></th>\
@@ -102,8 +102,16 @@ pub fn html(entries: &[Entry]) -> String {
     for entry in all {
         page += &row(entry, false);
     }
-    page += "</tbody>\n</table>\n</section>\n</body>\n</html>\n";
-    page
+    page += "</tbody>\n</table>\n</section>\n";
+    if !waiting.is_empty() {
+        page += "<section>\n<h2>What follows</h2>\n<ul>\n";
+        for sentence in waiting {
+            // Writing to a string cannot fail.
+            let _ = writeln!(page, "<li>{}</li>", escape(sentence));
+        }
+        page += "</ul>\n</section>\n";
+    }
+    page + "</body>\n</html>\n"
 }
 
 fn row(entry: &Entry, is_main: bool) -> String {
@@ -166,7 +174,7 @@ mod tests {
 
     #[test]
     fn texts_of_a_report_cannot_become_html() {
-        let page = html(&[entry("a", "2020-01-01", 1, 9.0)]);
+        let page = html(&[entry("a", "2020-01-01", 1, 9.0)], &["<b>".to_owned()]);
         assert!(
             page.contains("&lt;b&gt;") && !page.contains("<b>"),
             "{page}"

@@ -37,8 +37,9 @@ pub fn head(title: &str) -> String {
     )
 }
 
-/// Returns the page of a report. `channels` are the samples of the sensors in its order.
-pub fn html(report: &EventReport, channels: &[Vec<f64>]) -> String {
+/// Returns the page of a report. `channels` are the samples of the sensors in its order, and
+/// `occasion` says why they were recorded, or is empty.
+pub fn html(report: &EventReport, channels: &[Vec<f64>], occasion: &str) -> String {
     let title = format!("{}: {}", report.structure, report.name.title());
     let mut page = head(&title);
     // Writing to a string cannot fail.
@@ -47,7 +48,7 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>]) -> String {
         "<header>\n<p class=\"kicker\">Earthquake report</p>\n<h1>{}</h1>\n\
          <p class=\"when\">{}</p>\n</header>\n",
         escape(&report.structure),
-        escape(&report.name.title()),
+        escape(format!("{} {occasion}", report.name.title()).trim_end()),
     );
     let _ = write!(
         page,

@@ -12,7 +12,7 @@ use spandrel_earthquake::{
     Coverage, EventCourse, EventJudgement, Interval, JudgeSettings, LastingLoss, Window,
 };
 use spandrel_faults::{ChannelHealth, Fault, Soundness};
-use spandrel_structure::Structure;
+use spandrel_structure::{EarthquakePlan, Structure};
 
 /// Kind of the JSON files, by which the list of a folder recognises them.
 pub const KIND: &str = "spandrel-earthquake-report";
@@ -215,6 +215,16 @@ pub struct ReportSettings {
 const PEAK_FACTOR: f64 = 3.0;
 
 impl ReportSettings {
+    /// Returns the settings of a structure file, or those of one without `[earthquakes]`.
+    pub fn of(plan: Option<&EarthquakePlan>) -> Self {
+        Self {
+            loss: plan.map_or(EarthquakePlan::LOSS, |plan| plan.loss),
+            credibility: plan.map_or(EarthquakePlan::CREDIBILITY, |plan| plan.credibility),
+            strong_above_m_per_s2: plan
+                .map_or(EarthquakePlan::STRONG_M_PER_S2, |plan| plan.strong_m_per_s2),
+        }
+    }
+
     /// Returns the settings of the judgement.
     pub fn judge(&self) -> JudgeSettings {
         JudgeSettings {

@@ -1,0 +1,54 @@
+//! What makes a report from a recording.
+
+use std::fmt;
+use std::path::Path;
+
+/// The report of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MadeReport {
+    /// The page, HTML without scripts.
+    pub html: String,
+    /// The same numbers, JSON.
+    pub json: String,
+    /// How soon an inspector is needed, in words.
+    pub urgency: String,
+    /// The result in one or two sentences.
+    pub headline: String,
+}
+
+/// The list of all reports.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReportIndex {
+    /// The page, HTML without scripts.
+    pub html: String,
+    /// The same as JSON.
+    pub json: String,
+}
+
+/// Makes the reports of one structure.
+pub trait ReportMaker: fmt::Debug + Send + Sync {
+    /// Begins with the first event of the structure.
+    ///
+    /// # Errors
+    /// The structure cannot be reported, for the reason in words.
+    fn begin(&self) -> Result<Box<dyn ReportCourse>, String>;
+
+    /// Returns the list of the reports in a folder, with sentences about what waits.
+    ///
+    /// # Errors
+    /// The folder cannot be read, for the reason in words.
+    fn index(&self, folder: &Path, waiting: &[String]) -> Result<ReportIndex, String>;
+}
+
+/// Reports the recordings of one structure in the order of time.
+pub trait ReportCourse: fmt::Debug + Send {
+    /// Reports a recording that is later than all others. `occasion` says why it was recorded, or is
+    /// empty for an earthquake.
+    ///
+    /// The recording is a CSV file with a column `time` (s since 1970-01-01 UTC) and one column per
+    /// channel (SI).
+    ///
+    /// # Errors
+    /// The recording cannot be reported, for the reason in words.
+    fn report(&mut self, record: &Path, occasion: &str) -> Result<MadeReport, String>;
+}

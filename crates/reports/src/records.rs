@@ -1,0 +1,285 @@
+//! The folder of the recordings and reports of one structure.
+//!
+//! A recording `T` consists of `T.csv` and `T.record`, which says why it was recorded. Its report is
+//! `STRUCTURE_T.html` and `STRUCTURE_T.json`. Every file is written under another name first, so a
+//! file with one of these names is complete. The CSV file comes after `T.record`, and the JSON file
+//! after the HTML file.
+
+use crate::cutting::{About, Recorded};
+use crate::maker::MadeReport;
+use crate::name::{report_name, stem};
+use spandrel_bus::Name;
+use spandrel_record::{CsvWriter, RecordError};
+use std::fs::{DirBuilder, File};
+use std::io::{self, Write as _};
+use std::os::unix::fs::DirBuilderExt as _;
+use std::path::{Path, PathBuf};
+
+/// Permissions of the folder. Only the owner has access.
+const FOLDER_MODE: u32 = 0o700;
+/// Share of the recordings that remain when there are too many. The course of the earlier events is
+/// then computed anew, so this must be rare.
+const REMAINING: f64 = 0.9;
+
+/// Reason why a recording or a report is not kept.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum KeepError {
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    #[error("cannot write {}: {source}", path.display())]
+    Write { path: PathBuf, source: io::Error },
+}
+
+/// A recording that is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Kept {
+    pub(crate) stem: String,
+    pub(crate) about: About,
+}
+
+/// The folder of one structure.
+#[derive(Clone, Debug)]
+pub(crate) struct Records {
+    folder: PathBuf,
+    structure: Name,
+    /// Names of the channels, in frame order.
+    channels: Vec<String>,
+}
+
+impl Records {
+    /// Creates the folder if it is missing.
+    pub(crate) fn open(
+        folder: &Path,
+        structure: &Name,
+        channels: Vec<String>,
+    ) -> Result<Self, io::Error> {
+        let mut builder = DirBuilder::new();
+        builder.recursive(true).mode(FOLDER_MODE).create(folder)?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            structure: structure.clone(),
+            channels,
+        })
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Keeps a recording. A repetition after a crash replaces it.
+    pub(crate) fn keep(&self, recorded: &Recorded) -> Result<Kept, KeepError> {
+        let stem = stem(recorded.about.start_ns);
+        let about = serde_json::to_vec(&recorded.about).map_err(|error| KeepError::Write {
+            path: self.about(&stem),
+            source: error.into(),
+        })?;
+        self.write(&self.about(&stem), &about)?;
+        let path = self.record(&stem);
+        let part = path.with_extension("part");
+        let written = self.write_rows(&part, recorded);
+        let renamed = written.and_then(|()| settle(&part, &path));
+        if renamed.is_err() {
+            // What was written of it must not fill the disk.
+            let _ = std::fs::remove_file(&part);
+        }
+        renamed.map(|()| Kept {
+            stem,
+            about: recorded.about.clone(),
+        })
+    }
+
+    fn write_rows(&self, part: &Path, recorded: &Recorded) -> Result<(), KeepError> {
+        let mut writer = CsvWriter::create(part, &self.channels)?;
+        for (time_ns, values) in &recorded.rows {
+            writer.write_row(*time_ns, values)?;
+        }
+        Ok(writer.finish()?)
+    }
+
+    /// Keeps the report of a recording.
+    pub(crate) fn put(&self, stem: &str, made: &MadeReport) -> Result<(), KeepError> {
+        self.write(&self.report(stem, "html"), made.html.as_bytes())?;
+        self.write(&self.report(stem, "json"), made.json.as_bytes())
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), KeepError> {
+        let part = path.with_extension("part");
+        let written = File::create(&part).and_then(|mut file| file.write_all(bytes));
+        let written = written.map_err(|source| KeepError::Write {
+            path: part.clone(),
+            source,
+        });
+        let settled = written.and_then(|()| settle(&part, path));
+        if settled.is_err() {
+            let _ = std::fs::remove_file(&part);
+        }
+        settled
+    }
+
+    /// Returns all recordings in the order of time.
+    pub(crate) fn list(&self) -> io::Result<Vec<Kept>> {
+        let mut all = Vec::new();
+        for file in std::fs::read_dir(&self.folder)? {
+            let path = file?.path();
+            if path.extension().is_none_or(|extension| extension != "csv") {
+                continue;
+            }
+            let Some(stem) = path.file_stem().and_then(|stem| stem.to_str()) else {
+                continue;
+            };
+            let about = std::fs::read(self.about(stem)).unwrap_or_default();
+            if let Ok(about) = serde_json::from_slice(&about) {
+                all.push(Kept {
+                    stem: stem.to_owned(),
+                    about,
+                });
+            }
+        }
+        all.sort_by_key(|kept: &Kept| kept.about.start_ns);
+        Ok(all)
+    }
+
+    pub(crate) fn is_reported(&self, stem: &str) -> bool {
+        self.report(stem, "json").exists()
+    }
+
+    /// Returns page and numbers of a report. `None` if there is none of this name.
+    pub(crate) fn page(&self, report: &Name) -> Option<(String, String)> {
+        let kept = self.list().ok()?.into_iter();
+        let stem = kept
+            .map(|kept| kept.stem)
+            .find(|stem| report_name(stem).as_ref() == Some(report))?;
+        let read = |extension| std::fs::read_to_string(self.report(&stem, extension)).ok();
+        Some((read("html")?, read("json")?))
+    }
+
+    /// Removes the oldest recordings with their reports if there are more than `most`. Returns whether
+    /// some were removed.
+    pub(crate) fn trim(&self, most: usize) -> io::Result<bool> {
+        let all = self.list()?;
+        if all.len() <= most {
+            return Ok(false);
+        }
+        let remaining = (most as f64 * REMAINING) as usize;
+        for kept in &all[..all.len() - remaining] {
+            let stem = &kept.stem;
+            let reports = ["html", "json"].map(|extension| self.report(stem, extension));
+            // The recording goes first, because it makes the others count.
+            for path in [self.record(stem), self.about(stem)].iter().chain(&reports) {
+                match std::fs::remove_file(path) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                    _ => {}
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// Returns the path of a recording.
+    pub(crate) fn record(&self, stem: &str) -> PathBuf {
+        self.folder.join(format!("{stem}.csv"))
+    }
+
+    fn about(&self, stem: &str) -> PathBuf {
+        self.folder.join(format!("{stem}.record"))
+    }
+
+    fn report(&self, stem: &str, extension: &str) -> PathBuf {
+        let name = format!("{}_{stem}.{extension}", self.structure);
+        self.folder.join(name)
+    }
+}
+
+/// Forces a file to the disk, and gives it its name.
+fn settle(part: &Path, path: &Path) -> Result<(), KeepError> {
+    let forced = File::open(part).and_then(|file| file.sync_all());
+    forced
+        .and_then(|()| std::fs::rename(part, path))
+        .map_err(|source| KeepError::Write {
+            path: path.to_owned(),
+            source,
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_earthquake::{CutKind, Ending};
+
+    fn recorded(start_s: i64) -> Recorded {
+        let start_ns = start_s * 1_000_000_000;
+        let kind = CutKind::Earthquake {
+            ending: Ending::Calm,
+            is_strong: true,
+        };
+        let rows = (0..3).map(|row| (start_ns + row * 10_000_000, vec![0.5, f64::NAN]));
+        Recorded {
+            about: About {
+                start_ns,
+                end_ns: start_ns + 20_000_000,
+                kind,
+            },
+            rows: rows.collect(),
+        }
+    }
+
+    fn records(folder: &Path) -> Records {
+        let structure = Name::new("tower").unwrap();
+        let channels = vec!["ground".to_owned(), "roof".to_owned()];
+        Records::open(folder, &structure, channels).unwrap()
+    }
+
+    fn made() -> MadeReport {
+        MadeReport {
+            html: "<p>".to_owned(),
+            json: "{}".to_owned(),
+            urgency: "watch".to_owned(),
+            headline: "weak".to_owned(),
+        }
+    }
+
+    #[test]
+    fn recordings_and_reports_are_found_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let records = records(folder.path());
+        let later = records.keep(&recorded(2_000_000)).unwrap();
+        let first = records.keep(&recorded(1_000_000)).unwrap();
+        records.put(&first.stem, &made()).unwrap();
+        assert_eq!(records.list().unwrap(), [first.clone(), later.clone()]);
+        assert!(records.is_reported(&first.stem) && !records.is_reported(&later.stem));
+        let name = report_name(&first.stem).unwrap();
+        let page = records.page(&name).unwrap();
+        assert_eq!(page, ("<p>".to_owned(), "{}".to_owned()));
+        assert_eq!(records.page(&Name::new("index").unwrap()), None);
+        let text = std::fs::read_to_string(records.record(&first.stem)).unwrap();
+        assert_eq!(text.lines().nth(1), Some("1000000,0.5,"), "{text}");
+    }
+
+    #[test]
+    fn a_part_of_a_recording_does_not_count_and_the_oldest_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let records = records(folder.path());
+        std::fs::write(folder.path().join("2020-01-01T00-00-00Z.part"), "time").unwrap();
+        for day in 1..=12 {
+            records.keep(&recorded(day * 86_400)).unwrap();
+        }
+        assert!(!records.trim(12).unwrap());
+        assert!(records.trim(10).unwrap());
+        let left = records.list().unwrap();
+        assert_eq!(left.len(), 9);
+        assert_eq!(left[0].about.start_ns, 4 * 86_400_000_000_000);
+    }
+
+    #[test]
+    fn a_recording_that_cannot_be_written_is_an_error_and_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let records = records(folder.path());
+        let mut wrong = recorded(1_000_000);
+        wrong.rows[2].1[0] = f64::INFINITY;
+        assert!(records.keep(&wrong).is_err());
+        assert!(records.list().unwrap().is_empty());
+        std::fs::remove_dir_all(folder.path()).unwrap();
+        let error = records.keep(&recorded(1_000_000)).unwrap_err();
+        assert!(error.to_string().contains("No such file"), "{error}");
+    }
+}
