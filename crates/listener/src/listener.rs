@@ -309,7 +309,8 @@ impl Place {
 
     /// Queries the current alerts.
     async fn alerts(self) -> Result<Vec<Input>, BusError> {
-        let alerts = self.bus.ask(&self.key(K::Alert), ANSWER_WITHIN).await?;
+        let key = self.key(K::Alert);
+        let alerts = self.bus.ask_present(&key, ANSWER_WITHIN).await?;
         let standing = |(key, alert): (String, AlertMessage)| {
             Input::placed(&self.root, &key, |_| Input::StandingAlert(alert))
         };
