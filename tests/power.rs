@@ -35,6 +35,8 @@ const EVERY: Duration = Duration::from_millis(10);
 const SYNC_S: f64 = 0.25;
 /// Delay by which a busy machine may sync too late (s).
 const LATE_S: f64 = 2.0;
+/// Number of power failures that the test waits for on a busy machine, whatever its limit.
+const AT_LEAST: usize = 3;
 /// Limit for the last estimates to arrive at the reader.
 const READ_WITHIN: Duration = Duration::from_secs(5);
 /// Time between two looks at a condition that has no event.
@@ -662,7 +664,7 @@ async fn fails_at_random_moments(
     }
     let (started, mut failures) = (Instant::now(), 0);
     let mut worst = Cost::default();
-    while failures < moments && started.elapsed() < limit {
+    while failures < moments && (failures < AT_LEAST || started.elapsed() < limit) {
         let (moment, luck) = (story.any_moment(&mut random), Luck::any(&mut random));
         let before = &story.log.moments()[moment - 1];
         println!(
@@ -679,10 +681,6 @@ async fn fails_at_random_moments(
     println!(
         "seed {seed}: {failures} power failures in a run of {} records; worst {worst:?}",
         story.log.moments().len()
-    );
-    assert!(
-        failures >= moments.min(3),
-        "only {failures} power failures in {limit:?}"
     );
 }
 
