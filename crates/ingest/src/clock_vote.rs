@@ -6,7 +6,8 @@
 //!
 //! More than half of the votes, and at least two, decide. They must agree within a limit. Their
 //! decision remains in force as long as one node supports it, so that a node whose clock jumps, or
-//! that restarts first after a power cut, cannot change it alone.
+//! that restarts first after a power cut, cannot change it alone. If more than half of the nodes are
+//! ahead of the decision together, all of them were late when they voted, and it moves at once.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -163,10 +164,44 @@ impl ClockVote {
             (Some(vote_ns), Some(counted_ns)) => vote_ns.abs_diff(counted_ns) > RECOUNT_NS as u64,
             (vote_ns, counted_ns) => vote_ns != counted_ns,
         };
-        match has_moved {
+        let newest = self.nodes.get(node);
+        let is_ahead = newest
+            .zip(self.majority_ns)
+            .is_some_and(|(voter, majority_ns)| voter.ahead_of(majority_ns) > self.limit_ns);
+        let is_outdated = is_ahead && self.move_ahead(now);
+        match has_moved || is_outdated {
             true => self.look(now),
             false => self.judge(node, now),
         }
+    }
+
+    /// Replaces the votes of the nodes if more than half of them are ahead of the majority and agree.
+    /// Returns `true` if they are.
+    ///
+    /// No delay moves a clock ahead. The votes came from a time in which all nodes were late.
+    fn move_ahead(&mut self, now: Duration) -> bool {
+        let Some(majority_ns) = self.majority_ns else {
+            return false;
+        };
+        let (limit_ns, nodes) = (self.limit_ns, self.nodes.len());
+        let is_ahead = |voter: &Voter| {
+            let is_recent = |at: Duration| now.saturating_sub(at) <= STEADY_FOR;
+            voter.heard().is_some_and(is_recent) && voter.ahead_of(majority_ns) > limit_ns
+        };
+        let ahead_ns = self.nodes.iter().filter(|voter| is_ahead(voter));
+        let ahead_ns = ahead_ns.map(|voter| voter.ahead_of(majority_ns));
+        let (mut count, mut least_ns, mut most_ns) = (0, i64::MAX, i64::MIN);
+        for by_ns in ahead_ns {
+            count += 1;
+            (least_ns, most_ns) = (least_ns.min(by_ns), most_ns.max(by_ns));
+        }
+        if count < 2 || 2 * count <= nodes || most_ns.saturating_sub(least_ns) > limit_ns {
+            return false;
+        }
+        for voter in self.nodes.iter_mut().filter(|voter| is_ahead(voter)) {
+            voter.vote_ns = voter.recent.back().map(|(_, offset_ns)| *offset_ns);
+        }
+        true
     }
 
     /// Counts the votes again as time passes, because the votes of silent nodes expire.
@@ -322,6 +357,32 @@ mod tests {
         fn wait(&mut self, seconds: u64) {
             self.now += Duration::from_secs(seconds);
         }
+    }
+
+    // All nodes were wrong against each other until their delays were steady.
+    #[test]
+    fn nodes_that_were_all_late_when_they_voted_are_right_once_they_are_prompt() {
+        let mut rig = Rig::new(3);
+        let all = |off_s: i64| [(0, off_s), (1, off_s), (2, off_s)];
+        rig.run(10.0, &all(0));
+        rig.run(10.0, &all(-20));
+        let (prompt, slower) = (all(0), all(-1));
+        for _ in 0..5 {
+            // No vote: the delay changes every second.
+            let verdicts = rig.run(1.0, &prompt);
+            assert_eq!(verdicts, [ClockVerdict::Agrees; 3]);
+            let verdicts = rig.run(1.0, &slower);
+            assert_eq!(verdicts, [ClockVerdict::Agrees; 3]);
+        }
+    }
+
+    #[test]
+    fn half_of_the_nodes_cannot_move_the_majority_ahead() {
+        let mut rig = Rig::new(4);
+        rig.run(10.0, &[(0, 0), (1, 0), (2, 0), (3, 0)]);
+        let verdicts = rig.run(0.5, &[(0, 0), (1, 0), (2, 60), (3, 60)]);
+        assert_eq!(verdicts[2..], [wrong(60); 2]);
+        assert_eq!(verdicts[..2], [ClockVerdict::Agrees; 2]);
     }
 
     fn wrong(seconds: i64) -> ClockVerdict {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::structures::Structures;
 use crate::testing::{alert, name, parameter};
-use spandrel_bus::{AlertState, BusConfig, Keys};
+use spandrel_bus::{AlertState, BusConfig, Keys, Message as _};
 
 const NEEDS: Needs = Needs {
     topics: &[DisplayTopic::Parameters, DisplayTopic::Alerts],
@@ -76,6 +76,34 @@ async fn earlier_alerts_are_queried_and_later_alerts_received() {
         .unwrap();
     let structures = gather_until(&mut listener, |structures| !alerts(structures).is_empty()).await;
     assert_eq!(alerts(&structures), ["storey-2"]);
+}
+
+// A page that could not reach the alert service at first never showed its standing alerts.
+#[tokio::test(flavor = "multi_thread")]
+async fn standing_alerts_are_queried_until_the_alert_service_replies() {
+    let (bus, keys) = open().await;
+    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
+        .await
+        .unwrap();
+    let key = keys.alert(&name("storey-1"));
+    let queries = bus.session().declare_queryable(&key).await.unwrap();
+    let standing = alert("storey-1", 1, AlertState::Raised).encode().unwrap();
+    let replying = tokio::spawn(async move {
+        drop(queries.recv_async().await.unwrap()); // a reply without any alert
+        while let Ok(query) = queries.recv_async().await {
+            let reply = query.reply(&key, standing.clone());
+            reply.encoding(AlertMessage::encoding()).await.unwrap();
+        }
+    });
+    let _token = bus
+        .announce(keys.live(Service::Alert, &name("alert")))
+        .await
+        .unwrap();
+    gather_until(&mut listener, |structures| {
+        alerts(structures) == ["storey-1"]
+    })
+    .await;
+    replying.abort();
 }
 
 #[tokio::test(flavor = "multi_thread")]
