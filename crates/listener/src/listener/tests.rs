@@ -3,7 +3,7 @@
 use super::*;
 use crate::structures::Structures;
 use crate::testing::{alert, name, parameter};
-use spandrel_bus::{AlertState, BusConfig, Keys, Message as _};
+use spandrel_bus::{AlertState, BusConfig, Keys};
 
 const NEEDS: Needs = Needs {
     topics: &[DisplayTopic::Parameters, DisplayTopic::Alerts],
