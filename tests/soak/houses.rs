@@ -9,8 +9,6 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-/// Speed as a multiple of real time.
-pub const SPEED: f64 = 20.0;
 /// Node that is always present and always correct. The others come and go.
 pub const STEADY: &str = "ground";
 pub const OTHERS: [&str; 2] = ["floor-1", "roof"];
@@ -19,13 +17,15 @@ pub const OTHERS: [&str; 2] = ["floor-1", "roof"];
 pub struct Houses {
     pub sites: Vec<Site>,
     pub clock: Clock,
+    /// Speed as a multiple of real time.
+    speed: f64,
     /// Nodes by structure and name, each with its manner.
     pub nodes: BTreeMap<(usize, &'static str), (Manner, Process)>,
 }
 
 impl Houses {
     /// Creates the structures house-1, house-2, …, without nodes.
-    pub fn new(count: usize) -> Self {
+    pub fn new(count: usize, speed: f64) -> Self {
         let house = |number: usize| {
             let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.3\ncredibility = 0.99\nsustain-s = 10\n";
             let text = two_storeys(rules).replace("\"house\"", &format!("\"house-{number}\""));
@@ -48,7 +48,8 @@ impl Houses {
         }
         Self {
             sites,
-            clock: Clock::starting(SPEED),
+            clock: Clock::starting(speed),
+            speed,
             nodes: BTreeMap::new(),
         }
     }
@@ -59,7 +60,7 @@ impl Houses {
 
     /// Starts correct nodes of all structures, on a clock that begins now.
     pub fn start_nodes(&mut self) {
-        self.clock = Clock::starting(SPEED);
+        self.clock = Clock::starting(self.speed);
         for structure in 0..self.sites.len() {
             for node in [STEADY].into_iter().chain(OTHERS) {
                 self.send(structure, node, Manner::Honest);

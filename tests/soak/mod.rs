@@ -11,7 +11,7 @@ mod measured;
 mod node;
 
 use crate::support::{Process, Site, spandrel};
-use houses::{Houses, OTHERS, SPEED, check_recording};
+use houses::{Houses, OTHERS, check_recording};
 use measured::{Heard, Series, processor_s, resident_mb};
 use node::{Manner, ORDERS};
 use rand::{RngExt, SeedableRng};
@@ -22,6 +22,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
+/// Speed as a multiple of real time.
+const SPEED: f64 = 20.0;
 const STRUCTURES: usize = 3;
 const SERVICES: [&str; 5] = ["ingest", "identify", "alert", "history", "dashboard"];
 
@@ -88,7 +90,7 @@ struct Town {
 
 impl Town {
     async fn start() -> Self {
-        let mut houses = Houses::new(STRUCTURES);
+        let mut houses = Houses::new(STRUCTURES, SPEED);
         let site = &houses.sites[0];
         let router = Bus::open(&BusConfig {
             mode: Mode::Router,

@@ -110,10 +110,13 @@ enum Naming {
     Remove { name: String },
 }
 
+/// Number of the record in the log, and what it changed.
+type Numbered<T> = (usize, T);
+
 /// Something whose changes are numbered as in the log, with its syncs.
 #[derive(Debug)]
 struct Synced<T> {
-    changes: Vec<(usize, T)>,
+    changes: Vec<Numbered<T>>,
     /// The record with which each sync begins and ends.
     syncs: Vec<Range<usize>>,
 }
@@ -127,7 +130,7 @@ impl<T> Synced<T> {
     }
 
     /// Splits the changes before `moment` into those that a sync covers, and the others.
-    fn at(&self, moment: usize) -> (&[(usize, T)], &[(usize, T)]) {
+    fn at(&self, moment: usize) -> (&[Numbered<T>], &[Numbered<T>]) {
         let done = self.syncs.iter().filter(|sync| sync.end < moment);
         let covered = done.map(|sync| sync.start).max().unwrap_or(0);
         let before = |number: usize| self.changes.partition_point(|(at, _)| *at < number);

@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::task::JoinSet;
+use tokio::time::Instant;
 use tracing::warn;
 
 /// Queue length for values at the display rate. At full speed, new values overwrite the oldest,
@@ -23,6 +24,11 @@ const ALERTS_WAITING: usize = 8_192;
 const PAST: usize = 1_000;
 /// Time limit for a reply of the alert service or the history service.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
+/// Interval between queries for the current alerts.
+///
+/// A busy network may drop a published change. The alert would otherwise be shown in its former
+/// state until its next change.
+const ASK_AGAIN_EVERY: Duration = Duration::from_secs(30);
 
 /// A topic, or all topics of one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,7 +90,7 @@ pub struct Needs {
 /// The subscriptions to one structure, or to all below a root.
 ///
 /// Whenever an alert service appears, it queries the current alerts, because the service may have
-/// restarted. Whenever a feed appears, it queries the latest values of the conditions.
+/// restarted. It repeats this query, because a published change may be lost. Whenever a feed appears, it queries the latest values of the conditions.
 #[derive(Debug)]
 pub struct Listener {
     at: Place,
@@ -93,6 +99,7 @@ pub struct Listener {
     live: Vec<LiveWatch>,
     present: BTreeSet<Instance>,
     asked: JoinSet<Result<Vec<Input>, BusError>>,
+    ask_again_at: Instant,
     taken: u64,
 }
 
@@ -134,6 +141,7 @@ impl Listener {
                 live,
                 present: BTreeSet::new(),
                 asked,
+                ask_again_at: Instant::now() + ASK_AGAIN_EVERY,
                 taken: 0,
             })
         })
@@ -142,6 +150,7 @@ impl Listener {
     /// Returns all inputs since the last call.
     pub fn gather(&mut self) -> Vec<Input> {
         let mut inputs: Vec<Input> = self.newly_present().into_iter().collect();
+        self.ask_again();
         let before = inputs.len();
         for queue in &self.queues {
             queue.take(&self.at.root, &mut inputs);
@@ -186,6 +195,16 @@ impl Listener {
         }
         self.present.clone_from(&present);
         Some(Input::Present(present))
+    }
+
+    /// Queries the current alerts again if it is time.
+    fn ask_again(&mut self) {
+        let now = Instant::now();
+        let has_alerts = |instance: &Instance| instance.service == Service::Alert;
+        if now >= self.ask_again_at && self.present.iter().any(has_alerts) {
+            self.ask_again_at = now + ASK_AGAIN_EVERY;
+            self.asked.spawn(self.at.clone().alerts());
+        }
     }
 
     /// Returns the number of messages that [`Self::gather`] has returned, without misplaced ones.

@@ -4,6 +4,8 @@ use super::*;
 use crate::structures::Structures;
 use crate::testing::{alert, name, parameter};
 use spandrel_bus::{AlertState, BusConfig, Keys};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 const NEEDS: Needs = Needs {
     topics: &[DisplayTopic::Parameters, DisplayTopic::Alerts],
@@ -101,6 +103,51 @@ async fn standing_alerts_are_queried_until_the_alert_service_replies() {
         .unwrap();
     gather_until(&mut listener, |structures| {
         alerts(structures) == ["storey-1"]
+    })
+    .await;
+    replying.abort();
+}
+
+// A page that missed the change showed the former state of the alert for as long as it stood.
+#[tokio::test(flavor = "multi_thread")]
+async fn change_of_an_alert_that_the_network_drops_is_received_by_a_later_query() {
+    let (bus, keys) = open().await;
+    let mut listener = Listener::start(&bus, keys.root(), None, NEEDS)
+        .await
+        .unwrap();
+    let key = keys.alert(&name("storey-1"));
+    let queries = bus.session().declare_queryable(&key).await.unwrap();
+    let is_raised = Arc::new(AtomicBool::new(false));
+    let state = {
+        let is_raised = is_raised.clone();
+        move || match is_raised.load(Ordering::Relaxed) {
+            true => alert("storey-1", 2, AlertState::Raised),
+            false => alert("storey-1", 1, AlertState::Pending),
+        }
+    };
+    let replying = tokio::spawn(async move {
+        while let Ok(query) = queries.recv_async().await {
+            let reply = query.reply(&key, state().encode().unwrap());
+            reply.encoding(AlertMessage::encoding()).await.unwrap();
+        }
+    });
+    let _token = bus
+        .announce(keys.live(Service::Alert, &name("alert")))
+        .await
+        .unwrap();
+    let is_in = |structures: &Structures, state: AlertState| {
+        let tower = structures.structure(&name("tower"));
+        tower.is_some_and(|tower| tower.alerts.values().any(|alert| alert.state == state))
+    };
+    gather_until(&mut listener, |structures| {
+        is_in(structures, AlertState::Pending)
+    })
+    .await;
+    while listener.asked.join_next().await.is_some() {}
+    is_raised.store(true, Ordering::Relaxed);
+    listener.ask_again_at = Instant::now();
+    gather_until(&mut listener, |structures| {
+        is_in(structures, AlertState::Raised)
     })
     .await;
     replying.abort();
