@@ -5,7 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Annotation, Block, CaughtUp, ConditionDisplay, Description, EstimateBlock, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalMessage, LossDisplay, Maintenance, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, SampleBlock, SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, WaveformDisplay,
+    ParameterDisplay, Progress, ReportPage, SampleBlock, SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, WaveformDisplay,
 };
 
 /// A decoded message is valid and can be encoded.
@@ -82,6 +82,7 @@ const TYPES: &[fn(&[u8])] = &[
     message::<ModeDisplay>,
     message::<WaveformDisplay>,
     message::<SpectrumDisplay>,
+    message::<ReportPage>,
 ];
 
 fuzz_target!(|bytes: &[u8]| {
