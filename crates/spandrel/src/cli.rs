@@ -759,7 +759,7 @@ pub struct EarthquakeArguments {
     #[arg(long, value_name = "DIR")]
     pub report: PathBuf,
     /// Peak acceleration of the structure above which motion is strong (m/s²) [default: that of
-    /// the table [earthquakes] of the structure file, otherwise 1].
+    /// the table earthquakes of the structure file, otherwise 1].
     ///
     /// Only weaker motion can show a lasting loss.
     #[arg(long, value_name = "M/S2", value_parser = positive, allow_negative_numbers = true)]
