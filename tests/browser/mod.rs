@@ -191,7 +191,7 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         "--distributed",
         "--stay",
         "--speed",
-        "10",
+        "4", // the browser may start within 7 s, before the node falls silent
         "--http",
         "127.0.0.1:0",
         "--listen",
