@@ -10,7 +10,7 @@ use spandrel_bus::{Name, ReportPage};
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
 
-/// A report that is asked for, and its form.
+/// A requested report, and its form.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct WantedReport {
     pub(crate) report: Name,

@@ -1,8 +1,8 @@
 //! Finds clocks that move against those of the other nodes, by a jump or a drift.
 //!
-//! The [vote](crate::clock_vote) excludes a node whose clock differs by seconds. A smaller
-//! difference leaves its samples in the frames, at wrong times, where it looks like a delay of the
-//! sensor. The offset of a node is the time of its newest sample minus a monotonic clock at its
+//! The [vote](crate::clock_vote) excludes a node whose clock differs by seconds, and reports it. A
+//! smaller difference leaves its samples in the frames, at wrong times, where it looks like a delay of
+//! the sensor. The offset of a node is the time of its newest sample minus a monotonic clock at its
 //! arrival. The largest offset within a window has the least delay.
 
 use std::time::Duration;
@@ -30,6 +30,8 @@ pub(crate) struct ClockMove {
 #[derive(Debug)]
 pub(crate) struct ClockMoves {
     nodes: Vec<Clock>,
+    /// Movement above which the vote decides, ns.
+    most_ns: u64,
     window_begin: Option<Duration>,
 }
 
@@ -45,10 +47,11 @@ struct Clock {
 }
 
 impl ClockMoves {
-    /// Creates the state of `nodes` nodes.
-    pub(crate) fn new(nodes: usize) -> Self {
+    /// Creates the state of `nodes` nodes. Movements of more than `most` are left to the vote.
+    pub(crate) fn new(nodes: usize, most: Duration) -> Self {
         Self {
             nodes: vec![Clock::default(); nodes],
+            most_ns: u64::try_from(most.as_nanos()).unwrap_or(u64::MAX),
             window_begin: None,
         }
     }
@@ -101,12 +104,14 @@ impl ClockMoves {
             let by_ns = difference_ns.saturating_sub(reference_ns);
             if by_ns.unsigned_abs() >= LEAST_NS as u64 {
                 clock.reference = Some((difference_ns, now));
-                let within = now.saturating_sub(since);
-                moves.push(ClockMove {
-                    node,
-                    by_ns,
-                    within,
-                });
+                if by_ns.unsigned_abs() <= self.most_ns {
+                    let within = now.saturating_sub(since);
+                    moves.push(ClockMove {
+                        node,
+                        by_ns,
+                        within,
+                    });
+                }
             }
         }
         moves
@@ -130,7 +135,7 @@ mod tests {
     impl Rig {
         fn new(nodes: usize) -> Self {
             Self {
-                moves: ClockMoves::new(nodes),
+                moves: ClockMoves::new(nodes, Duration::from_secs(5)),
                 now: Duration::from_secs(1000),
                 blocks: 0,
             }
@@ -198,6 +203,14 @@ mod tests {
     fn different_constant_delays_and_jitter_are_no_movement() {
         let mut rig = Rig::new(4);
         assert_eq!(rig.run(300, |node, _| -250.0 * node as f64), []);
+    }
+
+    #[test]
+    fn clock_that_jumps_by_hours_is_left_to_the_vote() {
+        let mut rig = Rig::new(4);
+        assert_eq!(rig.run(30, |_, _| 0.0), []);
+        let hours = |node: usize, _: f64| if node == 2 { 7_200_000.0 } else { 0.0 };
+        assert_eq!(rig.run(30, hours), []);
     }
 
     #[test]

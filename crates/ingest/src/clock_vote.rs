@@ -5,9 +5,9 @@
 //! quickly. A node therefore votes only with an offset that is steady.
 //!
 //! More than half of the votes, and at least two, decide. They must agree within a limit. Their
-//! decision remains in force as long as one node supports it, so that a node whose clock jumps, or
-//! that restarts first after a power cut, cannot change it alone. If more than half of the nodes are
-//! ahead of the decision together, all of them were late when they voted, and it moves at once.
+//! decision remains in force as long as one node supports it. A node whose clock jumps, or that
+//! restarts first after a power cut, therefore cannot change it alone. If more than half of the nodes
+//! are ahead of the decision together, all of them were late when they voted, and it moves at once.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -183,7 +183,7 @@ impl ClockVote {
         let Some(majority_ns) = self.majority_ns else {
             return false;
         };
-        let (limit_ns, nodes) = (self.limit_ns, self.nodes.len());
+        let limit_ns = self.limit_ns;
         let is_ahead = |voter: &Voter| {
             let is_recent = |at: Duration| now.saturating_sub(at) <= STEADY_FOR;
             voter.heard().is_some_and(is_recent) && voter.ahead_of(majority_ns) > limit_ns
@@ -195,6 +195,9 @@ impl ClockVote {
             count += 1;
             (least_ns, most_ns) = (least_ns.min(by_ns), most_ns.max(by_ns));
         }
+        // A declared node that has never voted takes no part.
+        let takes_part = |voter: &&Voter| voter.counted_ns.is_some() || is_ahead(voter);
+        let nodes = self.nodes.iter().filter(takes_part).count();
         if count < 2 || 2 * count <= nodes || most_ns.saturating_sub(least_ns) > limit_ns {
             return false;
         }
@@ -374,6 +377,15 @@ mod tests {
             let verdicts = rig.run(1.0, &slower);
             assert_eq!(verdicts, [ClockVerdict::Agrees; 3]);
         }
+    }
+
+    #[test]
+    fn declared_nodes_that_are_not_there_do_not_hold_the_majority_back() {
+        let mut rig = Rig::new(7);
+        let three = |off_s: i64| [(0, off_s), (1, off_s), (2, off_s)];
+        rig.run(10.0, &three(-20));
+        let verdicts = rig.run(0.5, &three(0));
+        assert_eq!(verdicts, [ClockVerdict::Agrees; 7]);
     }
 
     #[test]

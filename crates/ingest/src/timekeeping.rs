@@ -34,7 +34,7 @@ impl Timekeeping {
             lateness: Lateness::new(allowed, nodes),
             vote: ClockVote::new(limit, nodes),
             watch: ClockWatch::new(nodes),
-            moves: ClockMoves::new(nodes),
+            moves: ClockMoves::new(nodes, limit),
             limit,
             distrusted: vec![false; nodes],
         }

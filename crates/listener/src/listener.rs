@@ -90,7 +90,8 @@ pub struct Needs {
 /// The subscriptions to one structure, or to all below a root.
 ///
 /// Whenever an alert service appears, it queries the current alerts, because the service may have
-/// restarted. It repeats this query, because a published change may be lost. Whenever a feed appears, it queries the latest values of the conditions.
+/// restarted. It repeats this query, because a published change may be lost. Whenever a feed
+/// appears, it queries the latest values of the conditions.
 #[derive(Debug)]
 pub struct Listener {
     at: Place,

@@ -72,8 +72,9 @@ pub struct NotifyService {
 struct Told {
     /// Its last changes, oldest first.
     log: Vec<AlertMessage>,
-    /// The current state of each alert.
-    standing: Vec<AlertMessage>,
+    /// The current state of each alert, and whether it differs from the known one. The same reply
+    /// arrives every half minute.
+    standing: Vec<(AlertMessage, bool)>,
 }
 
 /// The monotonic time used by the outbox.
@@ -409,7 +410,10 @@ impl Source {
                     self.push(alert, outbox, now);
                 }
                 Input::LoggedAlert(alert) => told.log.push(alert.clone()),
-                Input::StandingAlert(alert) => told.standing.push(alert.clone()),
+                Input::StandingAlert(alert) => {
+                    let known = self.state.alerts.get(&alert.parameter);
+                    told.standing.push((alert.clone(), known != Some(alert)));
+                }
                 Input::Judgement(display) => self.take_judgement(display, outbox, now),
                 Input::Monitoring(display) => self.sight.take(display.clone(), now),
                 Input::Event(event) if event.kind == EventKind::Earthquake => {
@@ -461,13 +465,13 @@ impl Source {
         for alert in log {
             if self.has_heard {
                 self.push(alert, outbox, now);
-            } else if !standing.contains(alert) {
+            } else if !standing.iter().any(|(current, _)| current == alert) {
                 outbox.learn(&alert.structure, &alert_key(alert));
             }
         }
-        standing
-            .iter()
-            .for_each(|alert| self.push(alert, outbox, now));
+        for (alert, _) in standing.iter().filter(|(_, is_new)| *is_new) {
+            self.push(alert, outbox, now);
+        }
         // An empty reply means that the service did not answer in time.
         self.has_heard |= !standing.is_empty();
     }

@@ -9,6 +9,7 @@ use crate::cutting::{About, Recorded};
 use crate::maker::MadeReport;
 use crate::name::{report_name, stem};
 use spandrel_bus::Name;
+use spandrel_checkpoint::sync_name;
 use spandrel_record::{CsvWriter, RecordError};
 use std::fs::{DirBuilder, File};
 use std::io::{self, Write as _};
@@ -153,13 +154,18 @@ impl Records {
         Some((read("html")?, read("json")?))
     }
 
-    /// Removes the oldest recordings with their reports if there are more than `most`. Returns whether
-    /// some were removed.
+    /// Removes the recordings that were kept first, with their reports, if there are more than `most`.
+    /// Returns whether some were removed.
+    ///
+    /// The clocks of sensors do not decide this. If they were ahead for a while, the recordings of the
+    /// true time would otherwise be the oldest ones.
     pub(crate) fn trim(&self, most: usize) -> io::Result<bool> {
-        let all = self.list()?;
+        let mut all = self.list()?;
         if all.len() <= most {
             return Ok(false);
         }
+        let kept_at = |kept: &Kept| std::fs::metadata(self.record(&kept.stem))?.modified();
+        all.sort_by_cached_key(|kept| kept_at(kept).ok());
         let remaining = (most as f64 * REMAINING) as usize;
         for kept in &all[..all.len() - remaining] {
             let stem = &kept.stem;
@@ -190,15 +196,16 @@ impl Records {
     }
 }
 
-/// Forces a file to the disk, and gives it its name.
+/// Forces a file to the disk, and gives it its name. The next checkpoint counts on both.
 fn settle(part: &Path, path: &Path) -> Result<(), KeepError> {
     let forced = File::open(part).and_then(|file| file.sync_all());
-    forced
-        .and_then(|()| std::fs::rename(part, path))
-        .map_err(|source| KeepError::Write {
-            path: path.to_owned(),
-            source,
-        })
+    let renamed = forced.and_then(|()| std::fs::rename(part, path));
+    renamed.map_err(|source| KeepError::Write {
+        path: path.to_owned(),
+        source,
+    })?;
+    sync_name(path);
+    Ok(())
 }
 
 #[cfg(test)]
@@ -256,18 +263,22 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_a_recording_does_not_count_and_the_oldest_are_removed() {
+    fn a_part_of_a_recording_does_not_count_and_those_kept_first_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         let records = records(folder.path());
         std::fs::write(folder.path().join("2020-01-01T00-00-00Z.part"), "time").unwrap();
-        for day in 1..=12 {
+        // The clock of the sensors was 400 days ahead for the first two recordings.
+        for day in [401, 402, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12] {
             records.keep(&recorded(day * 86_400)).unwrap();
+            std::thread::sleep(std::time::Duration::from_millis(5)); // times of files are coarse
         }
         assert!(!records.trim(12).unwrap());
         assert!(records.trim(10).unwrap());
         let left = records.list().unwrap();
-        assert_eq!(left.len(), 9);
-        assert_eq!(left[0].about.start_ns, 4 * 86_400_000_000_000);
+        let days = left
+            .iter()
+            .map(|kept| kept.about.start_ns / 86_400_000_000_000);
+        assert_eq!(days.collect::<Vec<_>>(), (4..=12).collect::<Vec<_>>());
     }
 
     #[test]
