@@ -174,6 +174,18 @@ pub(crate) fn diagonal_to(matrix: &DMatrix<f64>, out: &mut DVector<f64>) {
     }
 }
 
+/// Replaces `X` by `D^½ X D^½` with the diagonal `factors`, or by itself if there are none.
+pub(crate) fn scale_symmetric_mut(matrix: &mut DMatrix<f64>, factors: &[f64]) {
+    if factors.iter().all(|factor| *factor == 1.0) {
+        return;
+    }
+    for (b, column) in factors.iter().enumerate() {
+        for (a, row) in factors.iter().enumerate() {
+            matrix[(a, b)] *= (row * column).sqrt();
+        }
+    }
+}
+
 /// Adds `scale · X` to a matrix of the same size.
 pub(crate) fn add_scaled_mut(target: &mut DMatrix<f64>, scale: f64, x: &DMatrix<f64>) {
     add_scaled_slice_mut(target.as_mut_slice(), scale, x.as_slice());

@@ -219,6 +219,50 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
+    /// Sets whether the coming frames can teach the parameters anything.
+    ///
+    /// If they cannot, the frames update the motion only. The parameters keep their means, and the
+    /// published covariance stays. A filter that does not measure its misfit ignores the setting.
+    pub fn set_teaching(&mut self, teaches: bool) {
+        self.work.teaches = teaches;
+    }
+
+    /// Sets the reliability `κ` (N_f, 0 to 1) of the known excitation of the coming frames.
+    ///
+    /// `κ` is the variance of the true excitation divided by that of its samples, which contain the
+    /// noise of the sensor: Fuller (1987), §1.1. Given the samples `f`, the excitation then has the
+    /// mean `κ f` and the variance `κ Σ_f`. The filter uses both. With `κ = 1`, which is the
+    /// initial value, any excitation is equally probable before it is measured.
+    ///
+    /// A model without parameters learns nothing from the excitation and always uses `κ = 1`.
+    ///
+    /// # Errors
+    /// Returns an error if the length does not fit the model, or if a value is outside 0 to 1.
+    pub fn set_reliability(&mut self, reliability: &[f64]) -> Result<(), FilterError> {
+        let (found, expected) = (reliability.len(), self.work.reliability.len());
+        if found != expected {
+            return Err(FilterError::Dimension {
+                what: "reliabilities of the excitation",
+                found,
+                expected,
+            });
+        }
+        if let Some(&found) = reliability
+            .iter()
+            .find(|share| !(0.0..=1.0).contains(*share))
+        {
+            return Err(FilterError::Setting {
+                what: "reliability of the excitation",
+                found,
+                allowed: "0 to 1",
+            });
+        }
+        if self.work.propagator.time_invariant().is_none() {
+            self.work.reliability.copy_from_slice(reliability);
+        }
+        Ok(())
+    }
+
     /// Returns the number of observations in a frame.
     #[must_use]
     pub fn observation_len(&self) -> usize {

@@ -337,6 +337,7 @@ impl MisfitState {
     fn weigh(&mut self, j: usize, settings: &MisfitSettings, fading: f64, step: Learnt) -> f64 {
         let Learnt {
             prior,
+            bound,
             before,
             information,
         } = step;
@@ -352,6 +353,8 @@ impl MisfitState {
             (parameter.information, parameter.squared_information) =
                 (before.recip(), before.recip());
         }
+        // Information fades until the variance reaches its bound.
+        let fading = if before < bound { fading } else { 1.0 };
         parameter.information = parameter.information / fading + information;
         parameter.squared_information =
             parameter.squared_information / (fading * fading) + information;
@@ -371,6 +374,8 @@ impl MisfitState {
 struct Learnt {
     /// Prior variance of the parameter.
     prior: f64,
+    /// Its largest variance.
+    bound: f64,
     /// Its variance before the step.
     before: f64,
     /// Information of the step about it.
@@ -441,6 +446,23 @@ impl Workspace {
         }
     }
 
+    /// Takes the corrections of the parameters back, because this step cannot teach anything.
+    pub(crate) fn unlearn(&mut self, mean: &mut DVector<f64>, covariance: &mut DMatrix<f64>) {
+        let first = mean.len() - self.scores.len();
+        for j in 0..self.scores.len() {
+            mean[first + j] -= self.corrections[j];
+            covariance[(first + j, first + j)] += self.gains[j];
+        }
+        for values in [
+            &mut self.scores,
+            &mut self.information,
+            &mut self.corrections,
+            &mut self.gains,
+        ] {
+            values.fill(0.0);
+        }
+    }
+
     /// Reduces the parameter corrections of this step to the share that the misfit permits.
     pub(crate) fn temper(
         &self,
@@ -448,6 +470,7 @@ impl Workspace {
         settings: &MisfitSettings,
         fading: FadingFactor,
         prior_std: &DVector<f64>,
+        variance_bound: &DVector<f64>,
         mean: &mut DVector<f64>,
         covariance: &mut DMatrix<f64>,
     ) {
@@ -465,6 +488,7 @@ impl Workspace {
             }
             let learnt = Learnt {
                 prior: prior_std[at] * prior_std[at],
+                bound: variance_bound[at],
                 before,
                 information: self.information[j],
             };
@@ -500,6 +524,7 @@ mod tests {
         let mut scratch = Workspace::new(1);
         let (mut mean, mut covariance) = (DVector::zeros(1), DMatrix::from_element(1, 1, 1.0));
         let prior_std = DVector::from_element(1, 1.0);
+        let variance_bound = DVector::from_element(1, 1.0);
         for information in half_lives.iter().flat_map(|gain| [*gain; HALF_LIFE]) {
             let before = (fading.value() * covariance[(0, 0)]).min(1.0);
             // 1/after = 1/before + information; the gain is before - after
@@ -513,6 +538,7 @@ mod tests {
                 &SETTINGS,
                 fading,
                 &prior_std,
+                &variance_bound,
                 &mut mean,
                 &mut covariance,
             );
@@ -537,6 +563,15 @@ mod tests {
             published < 1e-3,
             "the estimate alone does not show it: {published}"
         );
+    }
+
+    #[test]
+    fn published_variance_stays_when_the_variance_is_at_its_bound() {
+        let before = variances(&[1000.0; 4]).1;
+        let mut quiet = [0.0; 44];
+        quiet[..4].fill(1000.0);
+        let after = variances(&quiet).1;
+        assert!((after / before - 1.0).abs() < 0.1, "{after} {before}");
     }
 
     #[test]

@@ -81,6 +81,28 @@ impl Estimator {
         }
     }
 
+    /// Sets whether the next frame can teach the parameters anything. Particles ignore it.
+    pub fn set_teaching(&mut self, teaches: bool) {
+        match self {
+            Self::Filter(filter) => filter.set_teaching(teaches),
+            Self::Classes(bank) => bank.set_teaching(teaches),
+            Self::Particles(_) => {}
+        }
+    }
+
+    /// Sets the reliability of each component of the measured excitation (N_f, 0 to 1) in the next
+    /// frame. Particles ignore it.
+    ///
+    /// # Errors
+    /// Fails if the length does not match the model, or a value is outside 0 to 1.
+    pub fn set_reliability(&mut self, reliability: &[f64]) -> Result<(), FilterError> {
+        match self {
+            Self::Filter(filter) => filter.set_reliability(reliability),
+            Self::Classes(bank) => bank.set_reliability(reliability),
+            Self::Particles(_) => Ok(()),
+        }
+    }
+
     /// Restarts from the prior.
     ///
     /// # Errors

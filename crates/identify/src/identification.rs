@@ -4,6 +4,7 @@
 mod events;
 mod fit;
 mod hearing;
+mod reliability;
 mod sensors;
 mod state;
 
@@ -15,6 +16,7 @@ use crate::pieces::MOST_ITEMS;
 use crate::screening::ScreeningView;
 use fit::FitView;
 use hearing::Hearing;
+use reliability::Reliability;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Block, ChannelState, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
@@ -147,6 +149,7 @@ pub struct Identification {
     unobserved: u64,
     /// State of each component of the excitation.
     hearing: Vec<Hearing>,
+    reliability: Reliability,
     /// Names of the components, with the channels that measure them, if any.
     excitation_names: Vec<(String, Option<String>)>,
     /// Last measured values. Bit-identical repetitions are not measurements.
@@ -307,6 +310,7 @@ impl Identification {
                 .iter()
                 .map(|channel| hearing_of(structure, *channel))
                 .collect(),
+            reliability: Reliability::new(structure),
             last_values: vec![f64::NAN; channels],
             excitation_names: structure
                 .excitations()
@@ -516,6 +520,7 @@ impl Identification {
         }
         self.hear_excitations(time_ns, values, outputs);
         self.mask_faulty();
+        let weighed = self.weigh_excitation();
         let frame = Frame {
             observations: &self.observations,
             excitation: &self.excitation,
@@ -527,7 +532,7 @@ impl Identification {
             self.estimator.forget_motion(); // a prediction over such a time is invalid
         }
         let had_lost_state = self.has_lost_state();
-        let result = self.estimator.step(frame);
+        let result = weighed.and_then(|()| self.estimator.step(frame));
         let observed = result.as_ref().is_ok_and(|step| step.used_channels > 0);
         self.unobserved = if observed { 0 } else { self.unobserved + 1 };
         let beyond_recovery = matches!(&self.estimator, Estimator::Particles(particles) if particles.are_beyond_recovery());

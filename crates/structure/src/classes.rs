@@ -195,7 +195,7 @@ impl Structure {
     }
 
     /// Returns the fundamental period `T` as designed (s), or 0 if there is none.
-    pub(crate) fn fundamental_period_s(&self) -> f64 {
+    pub fn fundamental_period_s(&self) -> f64 {
         let first = self.modes.angular_frequencies.first();
         first.map_or(0.0, |omega| 2.0 * PI / omega)
     }

@@ -447,6 +447,23 @@ impl<S: ComponentSystem> ClassBank<S> {
         adapts || self.template.outliers.is_some()
     }
 
+    /// Sets whether the next frame can teach the parameters anything, as in
+    /// [`ExtendedKalmanFilter::set_teaching`].
+    pub fn set_teaching(&mut self, teaches: bool) {
+        let filters = self.members.iter_mut().map(|member| &mut member.filter);
+        filters.for_each(|filter| filter.set_teaching(teaches));
+    }
+
+    /// Sets the reliability `κ` (N_f) of the known excitation of the next frame, as in
+    /// [`ExtendedKalmanFilter::set_reliability`].
+    ///
+    /// # Errors
+    /// Returns an error if the length does not fit the models, or if a value is outside 0 to 1.
+    pub fn set_reliability(&mut self, reliability: &[f64]) -> Result<(), FilterError> {
+        let mut filters = self.members.iter_mut().map(|member| &mut member.filter);
+        filters.try_for_each(|filter| filter.set_reliability(reliability))
+    }
+
     fn step_filters(&mut self, frame: Frame<'_>) {
         let lead = self.state.lead;
         let common = self.has_common_findings();

@@ -80,9 +80,13 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             covariance,
             p_ht,
             update,
+            teaches,
             ..
         } = work;
         scratch.read(&update.variances, p_ht, update.whitened());
+        if !*teaches {
+            scratch.unlearn(mean, covariance);
+        }
         let is_excitation_known = !state.last_excitation.iter().any(|sample| sample.is_nan());
         let jumped = misfit.take(
             misfit_settings,
@@ -95,6 +99,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             misfit_settings,
             settings.fading,
             &settings.prior_std,
+            &settings.variance_bound,
             mean,
             covariance,
         );

@@ -163,11 +163,13 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         let lambda = settings.fading.value();
         work.step_excitation.copy_from(&settings.noise.excitation);
         work.frame_excitation.copy_from(&settings.noise.excitation);
+        work.apply_reliability();
         work.add_missing_excitation(frame, &state.excitation_mean_square);
         let path = work
             .propagator
             .noise_path(state.step_excitation(), &work.h_b);
         let objective = &mut work.objective;
+        objective.set_reliability(work.reliability.as_slice());
         let known = &mut work.frame_known;
         known.copy_from(&work.update.innovation_covariance);
         *known += &settings.noise.sensors;
@@ -213,6 +215,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             .noise
             .covariance_to(NoiseTarget::Excitation, psi, &mut work.step_excitation);
         work.frame_excitation.copy_from(&work.step_excitation);
+        work.apply_reliability();
         work.add_missing_excitation(frame, &state.excitation_mean_square);
     }
 

@@ -14,7 +14,11 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     pub(super) fn take_excitation(&mut self, frame: Frame<'_>) {
         let Self { state, work, .. } = self;
         for j in 0..work.older.len() {
-            let (older, newer) = (state.last_excitation[j], frame.excitation[j]);
+            let share = work.reliability[j];
+            let (older, newer) = (
+                share * state.last_excitation[j],
+                share * frame.excitation[j],
+            );
             work.older[j] = if older.is_nan() { 0.0 } else { older };
             work.newer[j] = if newer.is_nan() { 0.0 } else { newer };
             let course = state.excitation_course.as_ref();

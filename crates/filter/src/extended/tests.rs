@@ -776,3 +776,66 @@ fn jitter_repairs_a_singular_innovation_covariance() {
     }
     assert!(filter.mean().iter().all(|mean| mean.is_finite()));
 }
+
+/// Runs a filter of two oscillators that identifies the level of its excitation, whose pattern is
+/// `share`, on frames with the excitation `scale · f`. `direct` adds a direct effect on the data.
+fn run_with_reliability(
+    reliability: f64,
+    scale: f64,
+    share: f64,
+    direct: bool,
+) -> ExtendedKalmanFilter<Linear> {
+    let mut model = two_oscillators();
+    model.direct = direct.then(|| DMatrix::from_row_slice(2, 1, &[0.2, 0.1]));
+    let mut settings = settings();
+    settings.noise.excitation.fill(0.3 * share);
+    settings.noise.parameters = vec![crate::noise::NoiseParameter {
+        name: "ground".to_owned(),
+        target: NoiseTarget::Excitation,
+        pattern: DMatrix::from_element(1, 1, share),
+        start: 0.5,
+        start_std: 0.5,
+    }];
+    let mut filter = ExtendedKalmanFilter::new(model, settings).unwrap();
+    filter.set_reliability(&[reliability]).unwrap();
+    for k in 0..400 {
+        let excitation = [scale * 2.0 * (0.07 * k as f64).sin()];
+        let observations = datum(k);
+        filter
+            .step(Frame {
+                observations: &observations,
+                excitation: &excitation,
+            })
+            .unwrap();
+    }
+    filter
+}
+
+#[test]
+fn reliability_scales_the_excitation_and_the_covariance_of_its_noise() {
+    for direct in [false, true] {
+        let reliable = run_with_reliability(0.3, 1.0, 1.0, direct);
+        let scaled = run_with_reliability(1.0, 0.3, 0.3, direct);
+        let trusted = run_with_reliability(1.0, 1.0, 1.0, direct);
+        let distance = (reliable.mean() - scaled.mean()).amax();
+        assert!(distance < 1e-9 * scaled.mean().amax(), "{distance:e}");
+        let distance = (reliable.covariance() - scaled.covariance()).amax();
+        assert!(distance < 1e-9 * scaled.covariance().amax());
+        let (level, expected) = (reliable.noise().mean[0], scaled.noise().mean[0]);
+        assert!((level - expected).abs() < 1e-9 * expected);
+        assert!((reliable.mean() - trusted.mean()).amax() > 1e-3 * trusted.mean().amax());
+    }
+}
+
+#[test]
+fn reliability_outside_its_range_or_of_other_excitations_is_refused() {
+    let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings()).unwrap();
+    for (reliability, said) in [
+        (&[1.5][..], "reliability of the excitation"),
+        (&[f64::NAN], "reliability of the excitation"),
+        (&[1.0, 1.0], "reliabilities of the excitation"),
+    ] {
+        let error = filter.set_reliability(reliability).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    }
+}

@@ -3,6 +3,7 @@
 use super::Frame;
 use super::propagator::Propagator;
 use super::settings::FilterSettings;
+use crate::dense::scale_symmetric_mut;
 use crate::error::FilterError;
 use crate::misfit;
 use crate::model::{ObservationModel, ProcessModel};
@@ -53,6 +54,10 @@ pub(super) struct Workspace {
     /// to `older`.
     pub(super) older: DVector<f64>,
     pub(super) newer: DVector<f64>,
+    /// `false` if this step must not change the parameters.
+    pub(super) teaches: bool,
+    /// Reliability `κ` of the known excitation at this step (N_f), 1 without noise.
+    pub(super) reliability: DVector<f64>,
     /// Variance of a measured excitation whose sample at the older frame is missing, 0 for all
     /// others (N_f).
     pub(super) missing: DVector<f64>,
@@ -115,6 +120,8 @@ impl Workspace {
             sensors: DMatrix::zeros(channels, channels),
             older: DVector::zeros(inputs),
             newer: DVector::zeros(inputs),
+            teaches: true,
+            reliability: DVector::repeat(inputs, 1.0),
             missing: DVector::zeros(inputs),
             above_the_line: DVector::zeros(inputs),
             newer_less_older: DVector::zeros(inputs),
@@ -128,6 +135,21 @@ impl Workspace {
                     .map_or(0, |outliers| outliers.recent_len()),
             ),
         })
+    }
+
+    /// Writes `K^½ Σ_f K^½` with `K = diag(κ)` to `Σ_f` of the coming step and of the frame.
+    ///
+    /// This is the variance that remains of an excitation after its sensor has measured it.
+    pub(super) fn apply_reliability(&mut self) {
+        let Self {
+            reliability,
+            step_excitation,
+            frame_excitation,
+            ..
+        } = self;
+        for covariance in [step_excitation, frame_excitation] {
+            scale_symmetric_mut(covariance, reliability.as_slice());
+        }
     }
 
     /// Adds the variance of missing samples to `Σ_f` of the coming step and of the frame.

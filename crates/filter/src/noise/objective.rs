@@ -3,7 +3,8 @@
 use super::{NoiseModel, NoiseTarget};
 use crate::constant::ConstantPath;
 use crate::dense::{
-    add_scaled_mut, cholesky_mut, ln_determinant, solve_lower_mut, solve_lower_of_rows_mut,
+    add_quadratic_form_mut, add_scaled_mut, cholesky_mut, ln_determinant, scale_symmetric_mut,
+    solve_lower_mut, solve_lower_of_rows_mut,
 };
 use nalgebra::{DMatrix, DVector};
 use pulp::Arch;
@@ -20,6 +21,10 @@ pub(crate) struct Objective {
     patterns: Vec<DMatrix<f64>>,
     innovation: DVector<f64>,
     used: usize,
+    /// Reliability `κ` of the excitation (N_f).
+    reliability: Vec<f64>,
+    /// Scratch space: `K^½ U_l K^½` (N_f × N_f).
+    excitation: DMatrix<f64>,
     factor: DMatrix<f64>,
     whitened: DVector<f64>,
     /// `V_l` (N_0 × N_0)
@@ -66,6 +71,8 @@ impl Objective {
             patterns: vec![square(); parameters],
             innovation: DVector::zeros(channels),
             used: 0,
+            reliability: Vec::new(),
+            excitation: DMatrix::zeros(0, 0),
             factor: square(),
             whitened: DVector::zeros(channels),
             whitened_patterns: vec![square(); parameters],
@@ -83,6 +90,12 @@ impl Objective {
             },
             arch: Arch::new(),
         }
+    }
+
+    /// Sets the reliability `κ` (N_f) of the excitation at the coming frames. Without it, `κ` is 1.
+    pub(crate) fn set_reliability(&mut self, reliability: &[f64]) {
+        self.reliability.clear();
+        self.reliability.extend_from_slice(reliability);
     }
 
     pub(crate) fn used_channels(&self) -> usize {
@@ -105,21 +118,19 @@ impl Objective {
         innovation: &DVector<f64>,
     ) {
         self.known.copy_from(known);
+        let excitation = &mut self.excitation;
         for (l, (parameter, pattern)) in model.parameters.iter().zip(&mut self.patterns).enumerate()
         {
             match parameter.target {
                 NoiseTarget::Sensors => pattern.copy_from(&parameter.pattern),
                 NoiseTarget::Excitation => {
                     pattern.fill(0.0);
+                    excitation.clone_from(&parameter.pattern);
+                    scale_symmetric_mut(excitation, &self.reliability);
                     match path {
                         ExcitationPath::Felt => {}
                         ExcitationPath::Input(h_b) => {
-                            crate::dense::add_quadratic_form_mut(
-                                pattern,
-                                h_b,
-                                &parameter.pattern,
-                                fading,
-                            );
+                            add_quadratic_form_mut(pattern, h_b, excitation, fading);
                         }
                         ExcitationPath::Constant(constant) => {
                             if let Some(spread) = &constant.levels[l] {
@@ -128,12 +139,7 @@ impl Objective {
                         }
                     }
                     if let Some(direct) = feedthrough {
-                        crate::dense::add_quadratic_form_mut(
-                            pattern,
-                            direct,
-                            &parameter.pattern,
-                            1.0,
-                        );
+                        add_quadratic_form_mut(pattern, direct, excitation, 1.0);
                     }
                 }
             }

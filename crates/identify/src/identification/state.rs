@@ -1,6 +1,7 @@
 //! The checkpoint state of an identification.
 
 use super::hearing::Hearing;
+use super::reliability::ReliabilityState;
 use super::{Identification, Stream};
 use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
@@ -27,12 +28,13 @@ pub struct IdentificationState {
     since_clipped: Option<u64>,
     sensors: SensorCheckState,
     settling: u64,
+    reliability: ReliabilityState,
 }
 
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 6;
+    pub const VERSION: u16 = 7;
 }
 
 impl Identification {
@@ -55,6 +57,7 @@ impl Identification {
             since_clipped: self.since_clipped,
             sensors: self.check.state().clone(),
             settling: self.settling,
+            reliability: self.reliability.state().clone(),
         }
     }
 
@@ -102,6 +105,7 @@ impl Identification {
                 expected: 1,
             });
         }
+        self.reliability.restore(state.reliability)?;
         self.estimator.restore(state.estimator)?;
         self.band_limit = state.band_limit;
         self.stream = state.stream;

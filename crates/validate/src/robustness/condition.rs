@@ -130,6 +130,14 @@ fn fault(building: &mut Building, floor: usize, kind: FaultKind) {
     });
 }
 
+/// Makes the ground motion fall to this share of its level.
+fn falls(building: &mut Building, share: f64) {
+    building.ground.envelope = Envelope::Falls {
+        at_s: LOSS_AT_S,
+        share,
+    };
+}
+
 /// Adds spikes to this share of the samples of all floors, from the start.
 fn spikes(building: &mut Building, share: f64) {
     building.fault = Some(SensorFault {
@@ -236,6 +244,16 @@ conditions![
     "noise-fivefold" "Noise of all channels five times the file", DURATION_S, WRONG, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025 };
     "ground-noise-fivefold" "Noise of the ground channel five times the file", DURATION_S, WRONG, |b, s, seed| b.ground_noise = 0.025;
     "weak-motion" "A tenth of the motion", DURATION_S, WRONG, |b, s, seed| b.ground.std = 0.01;
+    "rest" "The ground comes to rest after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.0);
+    "rest-1" "The motion falls to 1 % after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.01);
+    "rest-2" "The motion falls to 2 % after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.02);
+    "rest-6" "The motion falls to 6 % after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.06);
+    "rest-3" "The motion falls to 3 % after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.03);
+    "rest-10" "The motion falls to 10 % after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.1);
+    "rest-20" "The motion falls to 20 % after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.2);
+    "rest-noise-half" "The ground comes to rest after a minute; its sensor has half the stated noise", SUDDEN_S, WRONG, |b, s, seed| { falls(b, 0.0); b.ground_noise = 0.0025 };
+    "rest-noise-double" "The ground comes to rest after a minute; its sensor has twice the stated noise", SUDDEN_S, WRONG, |b, s, seed| { falls(b, 0.0); b.ground_noise = 0.01 };
+    "rest-loss" "The ground comes to rest after a minute and moves again; storey 2 loses 10 % meanwhile", SUDDEN_S, FOUND, |b, s, seed| { b.ground.envelope = Envelope::Pauses { from_s: 60.0, to_s: 110.0 }; lose(b, 2, 0.10) };
     "unmeasured" "Ground not measured, level right", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| unmeasured(b, s);
     "unmeasured-loss" "Ground not measured, level right; storey 3 loses 10 %", UNMEASURED_S, FOUND, |b, s, seed| { unmeasured(b, s); lose_late(b, 3, 0.10) };
     "unmeasured-half" "Ground not measured, level stated at half", UNMEASURED_S, Expected::EveryStorey, |b, s, seed| { unmeasured(b, s); s.ground_std = 0.05 };

@@ -23,6 +23,10 @@ pub(super) enum Spectrum {
 pub(super) enum Envelope {
     /// Constant level.
     Constant,
+    /// Full level until this time (s), and this share of it afterwards.
+    Falls { at_s: f64, share: f64 },
+    /// Full level except between these times (s), when the ground is at rest.
+    Pauses { from_s: f64, to_s: f64 },
     /// Level between 1/√10 and √10 of its geometric mean, with this period (s).
     Tenfold(f64),
 }
@@ -99,6 +103,20 @@ impl Envelope {
     fn factor(self, time_s: f64) -> f64 {
         match self {
             Self::Constant => 1.0,
+            Self::Falls { at_s, share } => {
+                if time_s < at_s {
+                    1.0
+                } else {
+                    share
+                }
+            }
+            Self::Pauses { from_s, to_s } => {
+                if (from_s..to_s).contains(&time_s) {
+                    0.0
+                } else {
+                    1.0
+                }
+            }
             Self::Tenfold(period_s) => 10f64.powf(0.5 * (TAU * time_s / period_s).sin()),
         }
     }
