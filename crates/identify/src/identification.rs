@@ -4,6 +4,7 @@
 mod events;
 mod fit;
 mod hearing;
+mod motion;
 mod sensors;
 mod state;
 
@@ -15,6 +16,7 @@ use crate::pieces::MOST_ITEMS;
 use crate::screening::ScreeningView;
 use fit::FitView;
 use hearing::Hearing;
+use motion::Motion;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Block, ChannelState, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
@@ -162,6 +164,8 @@ pub struct Identification {
     channel_names: Vec<Name>,
     /// Nodes with a channel that is compared with others, and the channels of each in a frame.
     compared: Vec<(Name, std::ops::Range<usize>)>,
+    /// `None` if the structure file does not state what strong motion is.
+    motion: Option<Motion>,
 }
 
 /// Returns the initial state of an excitation component.
@@ -260,6 +264,10 @@ impl Identification {
             .collect::<Result<_, _>>()?;
         let check = SensorCheck::new(structure);
         let compared = sensors::compared_nodes(structure, &check)?;
+        let motion = Motion::new(structure).map_err(|source| IdentifyError::Earthquakes {
+            structure: structure.name().to_owned(),
+            source,
+        })?;
         let channel_names = structure
             .channels()
             .map(|channel| named(channel.name()))
@@ -324,6 +332,7 @@ impl Identification {
             settling: 0,
             compared,
             channel_names,
+            motion,
         })
     }
 
@@ -479,6 +488,9 @@ impl Identification {
             self.estimator.forget_motion();
             self.check.forget_motion();
             self.reset_band_limit();
+            if let Some(motion) = &mut self.motion {
+                motion.restart();
+            }
             outputs.push(self.event(
                 block.header.time_ns,
                 EventKind::Restart,
@@ -503,6 +515,9 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
+        if let Some(motion) = &mut self.motion {
+            motion.take(number, time_ns, values);
+        }
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);
@@ -703,6 +718,7 @@ impl Identification {
             fit: judged.map(|judged| judged.verdict),
             fit_reasons: judged.map(|judged| judged.reasons).unwrap_or_default(),
             follows_jump: self.estimator.fit().follows_jump(),
+            strong_motion: self.motion.as_ref().and_then(Motion::strong),
         }
     }
 

@@ -563,3 +563,36 @@ fn contradicted_fit_warns_also_where_no_rule_watches() {
     store.handle(fit(FitVerdict::Doubtful, &[FitReason::ExcessNoise]));
     assert_eq!(overview(&store).level, Level::Learning);
 }
+
+#[test]
+fn softening_in_motion_is_a_notice_and_the_last_report_of_an_earthquake_is_shown_for_two_days() {
+    let mut store = demo();
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
+    let soft = alert("storey-2", 1, AlertState::SofteningInMotion);
+    store.handle(Input::Alert(soft));
+    let found = overview(&store);
+    assert_eq!((found.level, found.raised), (Level::Notice, 0));
+    assert_eq!(found.sentence, "storey-2 is softening-in-motion");
+    let reported = |at_s: i64, report: &str, what: &str| {
+        Input::Event(Event {
+            structure: name("demo"),
+            time_ns: at_s * 1_000_000_000,
+            kind: EventKind::EarthquakeReport,
+            subject: report.to_owned(),
+            what: what.to_owned(),
+            why: format!("It shook. Look. /events/demo/{report}.html"),
+        })
+    };
+    assert_eq!(overview(&store).earthquake, None);
+    store.handle(reported(1, "first", "earthquake report: inspect"));
+    store.handle(reported(1, "second", "earthquake report: inspect first"));
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!((shown.report.as_str(), shown.time_s), ("second", 1.0));
+    assert_eq!(
+        (shown.urgency.as_str(), shown.result.as_str()),
+        ("inspect first", "It shook. Look.")
+    );
+    let after_ns = (2 * 86_400 + 2) * 1_000_000_000;
+    hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
+    assert_eq!(overview(&store).earthquake, None);
+}

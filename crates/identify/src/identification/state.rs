@@ -1,6 +1,7 @@
 //! The checkpoint state of an identification.
 
 use super::hearing::Hearing;
+use super::motion::{Motion, MotionState};
 use super::{Identification, Stream};
 use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
@@ -27,12 +28,13 @@ pub struct IdentificationState {
     since_clipped: Option<u64>,
     sensors: SensorCheckState,
     settling: u64,
+    motion: Option<MotionState>,
 }
 
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 6;
+    pub const VERSION: u16 = 7;
 }
 
 impl Identification {
@@ -55,6 +57,7 @@ impl Identification {
             since_clipped: self.since_clipped,
             sensors: self.check.state().clone(),
             settling: self.settling,
+            motion: self.motion.as_ref().map(Motion::state),
         }
     }
 
@@ -118,6 +121,9 @@ impl Identification {
         self.last_values = state.last_values;
         self.since_clipped = state.since_clipped;
         self.settling = state.settling;
+        if let Some((motion, state)) = self.motion.as_mut().zip(state.motion) {
+            motion.restore(state);
+        }
         Ok(())
     }
 
