@@ -131,15 +131,13 @@ fn a_sensor_that_is_told_to_be_faulty_makes_a_warning_until_it_is_back() {
         what: "the sensor is faulty".into(),
         why: "test".into(),
     };
-    store.handle(Input::Event(event(
-        spandrel_bus::EventKind::ChannelExcluded,
-    )));
+    store.handle(Input::Event(event(EventKind::ChannelExcluded)));
     let warned = overview(&store);
     assert_eq!(
         (warned.level, warned.sensors.troubled),
         (Level::Warning, vec!["floor-3".to_owned()])
     );
-    store.handle(Input::Event(event(spandrel_bus::EventKind::ChannelBack)));
+    store.handle(Input::Event(event(EventKind::ChannelBack)));
     assert_eq!(overview(&store).level, Level::Normal);
 }
 
