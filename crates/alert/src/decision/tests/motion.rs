@@ -164,10 +164,11 @@ fn softening_ends_with_its_rule() {
         .decision
         .clone()
         .ended(&crate::wording::End::Unwatched);
-    assert_eq!(end.unwrap().state, Normal);
+    let end = end.unwrap();
+    assert_eq!((end.state, end.since_ns), (Normal, None));
     let other = Rule::new(0.10, 0.95, 0.5, 10.0).unwrap();
     let mut heir = Decision::new(0, other, subject()).with_strong_motion(Some(1.0));
     let mut alerts = Vec::new();
     heir.succeed(&drive.decision, Model::Same, &mut alerts);
-    assert_eq!(alerts[0].state, Normal, "{alerts:?}");
+    assert_eq!((alerts[0].state, alerts[0].since_ns), (Normal, None));
 }
