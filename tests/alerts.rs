@@ -1,7 +1,9 @@
 //! The life of an alert through the services, from the damage to the acknowledgement.
 
 use crate::support::{DEADLINE, Process, Record, Site, put_raw, spandrel, two_storeys, within};
-use spandrel_bus::{AlertMessage, AlertState, Bus, Name, Subscription, UndecidedBecause};
+use spandrel_bus::{
+    AlertMessage, AlertState, Bus, HistoryLog, Name, Service, Subscription, UndecidedBecause,
+};
 
 /// Damage of storey 2 at 20 s, and a rule relative to the design.
 const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
@@ -122,6 +124,45 @@ async fn damage_is_pending_for_the_sustain_time_and_then_raised() {
         "storey 1 is sound: {:?}",
         watched.heard
     );
+}
+
+/// By this limit, all of the record is strong motion.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_loss_in_strong_motion_is_softening_and_raises_nothing() {
+    let limited = format!("{DAMAGED}[earthquakes]\nstrong-m-per-s2 = 0.2\n");
+    let mut watched = Watched::start(&limited).await;
+    let keys = watched.site.keys();
+    let mut decided = watched
+        .bus
+        .watch_progress(keys.progress(Service::Alert))
+        .await
+        .unwrap();
+    let record = watched.site.simulate(60.0);
+    let state = AlertState::SofteningInMotion;
+    let soft = watched.replay_until(&record, state).await;
+    assert_says(
+        &soft,
+        &[
+            "storey-2 is softer by",
+            "in strong motion of up to",
+            "whether this amplitude explains it is not known yet",
+        ],
+    );
+    let all = decided.wait_for(|progress| progress.done >= 6000);
+    within("decisions on the whole record", all).await;
+    let logs = watched
+        .bus
+        .ask::<HistoryLog>(&keys.alert_log(), DEADLINE)
+        .await
+        .unwrap();
+    let changes: Vec<&AlertMessage> = logs.iter().flat_map(|(_, log)| &log.alerts).collect();
+    let is_one =
+        |alert: &&&AlertMessage| matches!(alert.state, AlertState::Pending | AlertState::Raised);
+    assert!(
+        changes.iter().any(|alert| alert.state == state),
+        "{changes:?}"
+    );
+    assert_eq!(changes.iter().find(is_one), None);
 }
 
 #[tokio::test(flavor = "multi_thread")]

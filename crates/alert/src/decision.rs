@@ -12,6 +12,9 @@
 //! normal and pending. `unconfirmed` replaces raised and acknowledged until the loss is confirmed
 //! or cleared. A cleared alert remains cleared, and its message states that nothing is decided.
 //!
+//! In strong motion, and until the structure has settled, `softening-in-motion` replaces pending and
+//! raised. An alert that was raised before neither changes nor clears.
+//!
 //! A normal state becomes pending when the probability P of the loss reaches the credibility. It
 //! becomes raised when P has stayed there for the sustain time. A raised alert is cleared when P
 //! has stayed below the clear credibility for the sustain time, which prevents flapping. A cleared
@@ -25,6 +28,7 @@ use crate::{
     Alert, Learning, ParameterEstimate, Reference, Rule,
     alert::Acknowledged,
     credibility::{ParameterLoss, loss_estimate, probability_of_loss},
+    motion::Motion,
     rule::ReferenceRule,
     support::{DecidedFrames, Jump, Support, is_on_bound},
 };
@@ -69,6 +73,7 @@ pub struct Decision {
     knowledge: Knowledge,
     support: Support,
     jump: Jump,
+    motion: Motion,
     decided: DecidedFrames,
     last: Option<(ParameterEstimate, EstimateFlags)>,
     last_alert: Option<Alert>,
@@ -79,6 +84,10 @@ pub struct Decision {
     /// row, as a ratio to nominal. Empty if it is unknown. The structure file and the baseline set it.
     #[serde(skip)]
     changes_without: Vec<Option<f64>>,
+    /// Acceleration above which motion is strong, m/s². `None` if the structure file does not state
+    /// it: strong motion is then judged like any other.
+    #[serde(skip)]
+    strong_m_per_s2: Option<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -175,11 +184,13 @@ impl Decision {
             knowledge: Knowledge::Measured,
             support: Support::default(),
             jump: Jump::default(),
+            motion: Motion::default(),
             decided: DecidedFrames::default(),
             last: None,
             last_alert: None,
             sustained_std: None,
             changes_without: Vec::new(),
+            strong_m_per_s2: None,
         }
     }
 
@@ -187,6 +198,7 @@ impl Decision {
     pub(crate) fn forget_unstored(&mut self) {
         self.sustained_std = None;
         self.changes_without.clear();
+        self.strong_m_per_s2 = None;
     }
 
     /// Sets the change of the estimate if a channel is left out, per observation row. `None` if it
@@ -194,6 +206,13 @@ impl Decision {
     #[must_use]
     pub(crate) fn with_changes_without(mut self, changes: Vec<Option<f64>>) -> Self {
         self.changes_without = changes;
+        self
+    }
+
+    /// Sets the acceleration above which motion is strong, m/s². `None` if it is not stated.
+    #[must_use]
+    pub(crate) fn with_strong_motion(mut self, limit_m_per_s2: Option<f64>) -> Self {
+        self.strong_m_per_s2 = limit_m_per_s2;
         self
     }
 
@@ -280,6 +299,8 @@ impl Decision {
             self.knowledge = Knowledge::Measured;
         }
         self.jump.take(&flags, estimate.time_ns);
+        let strong = self.strong_m_per_s2.and(flags.strong_motion);
+        let has_calmed = self.motion.take(strong, estimate.time_ns);
         let hindrance = self.hindrance(&estimate, &flags);
         let was_undecided = self.support.undecided_because().is_some();
         self.support.take(hindrance, estimate.time_ns);
@@ -287,8 +308,10 @@ impl Decision {
             self.suspend();
         }
         let decides = self.support.decides();
+        let is_unsettled = self.motion.is_unsettled();
         match &mut self.stage {
-            Stage::Learning { .. } if decides => self.learn(estimate, alerts),
+            // A reference is learnt from weak motion, as a loss is raised from it.
+            Stage::Learning { .. } if decides && !is_unsettled => self.learn(estimate, alerts),
             Stage::Learning { started_ns, .. } => {
                 // Skipped frames do not count towards the learning span.
                 let skipped_ns = estimate.time_ns.saturating_sub(before_ns).max(0);
@@ -300,6 +323,12 @@ impl Decision {
                 self.decided.count(undecided);
                 if decides {
                     let probability = probability_of_loss(&estimate, reference, self.rule.loss());
+                    if is_unsettled {
+                        self.soften(&estimate, probability);
+                        self.announce_change(alerts);
+                        self.revise_softening(has_calmed, alerts);
+                        return;
+                    }
                     let watch = watch.clone();
                     let next = self.next(watch, probability, flags.fit, estimate.time_ns);
                     self.enter(next, alerts);
@@ -405,9 +434,18 @@ impl Decision {
         estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std
     }
 
+    /// Takes an estimate in strong motion, or before the structure has settled. Only softening in motion
+    /// can begin or end.
+    fn soften(&mut self, estimate: &ParameterEstimate, probability: f64) {
+        self.interrupt();
+        self.motion
+            .soften(estimate, probability >= self.rule.credibility());
+    }
+
     /// Stops decisions: the sustain time starts again, and a raised alert needs confirmation.
     fn suspend(&mut self) {
         self.interrupt();
+        self.motion.suspend();
         if let Stage::Watching {
             watch: Watching::Raised { is_confirmed, .. },
             ..
@@ -622,6 +660,9 @@ impl Decision {
                 {
                     AlertState::Undecided
                 }
+                Watching::Normal if self.motion.softening_since_ns().is_some() => {
+                    AlertState::SofteningInMotion
+                }
                 Watching::Normal => AlertState::Normal,
                 Watching::Pending { .. } | Watching::PendingUnseen { .. } => AlertState::Pending,
             },
@@ -646,7 +687,8 @@ impl Decision {
                 Watching::Pending { since_ns }
                 | Watching::PendingUnseen { since_ns }
                 | Watching::Raised { since_ns, .. } => Some(*since_ns),
-                Watching::Normal | Watching::ClearedUnseen => None,
+                Watching::Normal => self.motion.softening_since_ns(),
+                Watching::ClearedUnseen => None,
             },
         }
     }
@@ -655,6 +697,7 @@ impl Decision {
 mod announcement;
 mod succession;
 pub(crate) mod version_2;
+pub(crate) mod version_4;
 
 pub use succession::Model;
 

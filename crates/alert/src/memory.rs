@@ -52,8 +52,10 @@ pub(crate) struct AlertState {
 }
 
 /// Version of the layout of [`AlertState`]. Every change of a field in it or in a nested type must
-/// increase it. [`version_2`] reads the former layout.
-const VERSION: u16 = 4;
+/// increase it. [`version_2`] and [`version_4`] read former layouts.
+const VERSION: u16 = 5;
+/// Versions of the layouts that are still read.
+const FORMER_VERSIONS: [u16; 2] = [version_4::VERSION, version_2::VERSION];
 
 impl AlertState {
     /// Returns the state of a service without any decisions.
@@ -195,7 +197,9 @@ impl Memory {
         loop {
             let loaded = self
                 .checkpoints
-                .load_latest_or_former::<AlertState, version_2::AlertState>(version_2::VERSION);
+                .load_latest_or_formers::<AlertState, version_4::AlertState, version_2::AlertState>(
+                    FORMER_VERSIONS,
+                );
             let (place, state) = loaded.found?;
             if state.is_consistent() {
                 info!(
@@ -277,6 +281,7 @@ impl Memory {
 }
 
 mod version_2;
+mod version_4;
 
 #[cfg(test)]
 mod tests;

@@ -45,7 +45,12 @@ impl Watch {
                     decision_from_structure(number, rule, position, parameters, baseline)
                         .map_err(|source| in_parameter(parameters, index, source))?;
                 let changes = changes_without(structure, baseline, index);
-                decisions.push(decision.with_changes_without(changes));
+                let limit = structure.earthquakes().map(|plan| plan.strong_m_per_s2);
+                decisions.push(
+                    decision
+                        .with_changes_without(changes)
+                        .with_strong_motion(limit),
+                );
             }
         }
         Ok(Self::from_decisions(parameters.len(), decisions))
@@ -356,10 +361,11 @@ fn severity(state: AlertState) -> u8 {
         AlertState::Learning => 1,
         AlertState::Cleared => 2,
         AlertState::Undecided => 3,
-        AlertState::Pending => 4,
-        AlertState::Acknowledged => 5,
-        AlertState::Unconfirmed => 6,
-        AlertState::Raised => 7,
+        AlertState::SofteningInMotion => 4,
+        AlertState::Pending => 5,
+        AlertState::Acknowledged => 6,
+        AlertState::Unconfirmed => 7,
+        AlertState::Raised => 8,
     }
 }
 

@@ -3,14 +3,24 @@
 use jiff::Timestamp;
 use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words};
 
+use crate::motion::Shaking;
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
-/// Returns the decision in words. Ignores `alert.why`. `before` is the last announced alert.
+/// What an alert is seen against.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Before<'a> {
+    /// The last announced alert.
+    pub(crate) alert: Option<&'a Alert>,
+    /// The strong motion from which the structure has not settled.
+    pub(crate) shaking: Option<&'a Shaking>,
+}
+
+/// Returns the decision in words. Ignores `alert.why`.
 pub(crate) fn describe(
     subject: &Subject,
     rule: &Rule,
     alert: &Alert,
-    before: Option<&Alert>,
+    before: Before<'_>,
 ) -> String {
     let Subject { name, quantity, .. } = subject;
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
@@ -20,7 +30,7 @@ pub(crate) fn describe(
         return format!("reference of {name} is being learnt");
     };
     let how_much = match alert.follows_jump && alert.undecided_because.is_none() {
-        true => followed(quantity, loss, alert, before),
+        true => followed(quantity, loss, alert, before.alert),
         false => format!(
             "{} of its {quantity} ({})",
             percent(loss.loss),
@@ -65,6 +75,13 @@ pub(crate) fn describe(
             } else {
                 ""
             }
+        ),
+        AlertState::SofteningInMotion => format!(
+            "{name} is softer by {how_much}, {of_rule}{since}, {}; this is no damage, and a lasting \
+             loss is judged from weak motion, 5 minutes after the strong motion",
+            before
+                .shaking
+                .map_or_else(|| "in strong motion".to_owned(), in_motion)
         ),
         AlertState::Unconfirmed => {
             let seen = if alert.acknowledgement.is_some() {
@@ -112,6 +129,27 @@ pub(crate) fn describe(
             duration(rule.sustain_ns())
         ),
     }
+}
+
+/// Returns the strong motion in words, and whether it explains the softening.
+fn in_motion(shaking: &Shaking) -> String {
+    let peak = shaking.peak_m_per_s2;
+    let explained = match shaking.expected {
+        None => "whether this amplitude explains it is not known yet".to_owned(),
+        Some(expected) => {
+            let verdict = match expected.is_as_expected {
+                true => "as expected at this amplitude",
+                false if expected.deviations < 0.0 => "more than expected at this amplitude",
+                false => "less than expected at this amplitude",
+            };
+            let earlier = match expected.events {
+                1 => "one earlier motion".to_owned(),
+                events => format!("{events} earlier motions"),
+            };
+            format!("{verdict}, by {earlier}")
+        }
+    };
+    format!("in strong motion of up to {peak:.2} m/s²: {explained}")
 }
 
 /// Returns the reason why nothing is decided, including the reasons for a contradicted fit.

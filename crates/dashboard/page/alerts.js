@@ -14,7 +14,7 @@ export class AlertsPage {
   constructor(connection, parameters) {
     this.dialog = new AcknowledgeDialog(() => this.#ask());
     this.structure = h("select", { id: "filter-structure", onchange: () => this.#show() }, h("option", { value: "" }, "all structures"));
-    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, "all states"), ["raised", "unconfirmed", "pending", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, state)));
+    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, "all states"), ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, state)));
     this.text = h("input", { id: "filter-text", type: "search", placeholder: "part or words", oninput: () => this.#show() });
     const field = (input, text) => h("label", { for: input.id }, text, " ", input);
     this.standing = h("ul", { class: "alerts" });
@@ -63,7 +63,7 @@ export class AlertsPage {
 
   #show() {
     if (!this.answer) return;
-    const order = ["raised", "unconfirmed", "pending", "acknowledged", "cleared", "undecided", "learning", "normal"];
+    const order = ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "learning", "normal"];
     const isAsked = (alert) =>
       (!this.structure.value || alert.structure === this.structure.value) &&
       (!this.state.value || alert.state === this.state.value) &&

@@ -43,6 +43,6 @@ export class EventsTab {
 }
 
 /** Returns the address of a report of an earthquake, or of the list of all. */
-function report(structure, name) {
+export function report(structure, name) {
   return `/events/${encodeURIComponent(structure)}/${encodeURIComponent(name)}.html`;
 }

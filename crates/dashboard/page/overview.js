@@ -1,9 +1,10 @@
 // All structures, the most urgent first.
 
 import { h, keyed, setText } from "./dom.js";
+import { report } from "./events.js";
 import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
-import { LEVELS, SEARCH_ABOVE, STATES, duration, fitWord, lag, percent, place, probability, ratio, setSentence, time } from "./words.js";
+import { LEVELS, SEARCH_ABOVE, STATES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time } from "./words.js";
 
 export class OverviewPage {
   constructor(connection) {
@@ -12,7 +13,9 @@ export class OverviewPage {
     this.list = h("ul", { class: "structures" });
     this.none = h("p", { class: "empty", hidden: true }, "No structure matches the search.");
     this.tools = h("div", { class: "tools" });
-    this.element = h("div", { class: "overview" }, h("h1", {}, "Structures"), this.summary, this.tools, this.list, this.none);
+    this.reported = h("ol", {});
+    this.quakes = h("section", { "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, "After the earthquake: who needs an inspector first"), this.reported);
+    this.element = h("div", { class: "overview" }, h("h1", {}, "Structures"), this.summary, this.quakes, this.tools, this.list, this.none);
     this.lines = new Sparklines();
     connection.listen(null);
     this.leave = connection.on("overview", (message) => this.show(message));
@@ -30,6 +33,9 @@ export class OverviewPage {
     this.search ??= searchField(structures.length, "Find a structure", () => this.show({ structures: this.structures }));
     if (this.search.element && !this.search.element.parentElement) this.tools.append(this.search.element);
     this.structures = structures;
+    const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
+    this.quakes.hidden = shaken.length === 0;
+    keyed(this.reported, shaken, ({ name }) => name, makeReported, updateReported);
     this.list.classList.toggle("is-many", structures.length > SEARCH_ABOVE);
     const found = structures.filter(({ name, description, sentence }) => this.search.finds(`${name} ${description} ${sentence}`));
     this.none.hidden = found.length > 0 || structures.length === 0;
@@ -54,6 +60,28 @@ function summary(structures) {
   if (urgent.length === 0) return `✓ ${of} watched, nothing needs attention.`;
   const names = urgent.map(({ name }) => name).join(", ");
   return `${LEVELS[urgent[0].level].sign} ${urgent.length} of ${of} ${urgent.length === 1 ? "needs" : "need"} attention: ${names}.`;
+}
+
+/** Words of a report for how soon an inspector is needed, the most urgent first. */
+const URGENCIES = ["inspect first", "inspect", "watch", "no action"];
+
+/** Orders reports by their urgency, then by the loss by the newest value. */
+function byUrgency(a, b) {
+  const known = ({ earthquake }) => URGENCIES.includes(earthquake.urgency);
+  const rank = (one) => (known(one) ? URGENCIES.indexOf(one.earthquake.urgency) : URGENCIES.length);
+  return rank(a) - rank(b) || (b.worst?.loss ?? 0) - (a.worst?.loss ?? 0) || natural(a.name, b.name);
+}
+
+function makeReported() {
+  const link = h("a", {});
+  const result = h("span", {});
+  return { element: h("li", {}, link, ": ", result), link, result };
+}
+
+function updateReported({ link, result }, { name, earthquake }) {
+  link.href = report(name, earthquake.report);
+  setText(link, name);
+  setText(result, `${earthquake.urgency}. ${earthquake.result} (${time(earthquake.time_s)})`);
 }
 
 function makeCard(structure) {

@@ -11,7 +11,7 @@ const HALF_WIDTHS = [
 ];
 
 /** States of alerts in the order of priority of their labels. */
-const WORDS_FIRST = ["raised", "unconfirmed", "acknowledged", "cleared", "pending", "undecided", "learning", "normal"];
+const WORDS_FIRST = ["raised", "unconfirmed", "acknowledged", "cleared", "pending", "softening-in-motion", "undecided", "learning", "normal"];
 
 const line = (index, more) => ({ stroke: () => css(look(index).colour), width: 2, dash: look(index).dash, ...more });
 const edge = { stroke: "transparent", width: 0 };

@@ -59,6 +59,7 @@ export const STATES = {
   raised: { sign: "▲", word: "raised", level: "alarm" },
   unconfirmed: { sign: "△", word: "unconfirmed", level: "alarm" },
   pending: { sign: "◆", word: "pending", level: "warning" },
+  "softening-in-motion": { sign: "≈", word: "softening in motion", level: "notice" },
   acknowledged: { sign: "●", word: "acknowledged", level: "notice" },
   cleared: { sign: "○", word: "cleared", level: "notice" },
   undecided: { sign: "?", word: "undecided", level: "learning" },

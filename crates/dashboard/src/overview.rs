@@ -5,8 +5,8 @@ use crate::sensors::sensor_states;
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, AlertState, FitVerdict, MonitoringDisplay, MonitoringState, Service, Standing,
-    UndecidedBecause,
+    AlertMessage, AlertState, Event, EventKind, FitVerdict, MonitoringDisplay, MonitoringState,
+    ReportPage, Service, Standing, UndecidedBecause,
 };
 use std::time::Duration;
 
@@ -62,6 +62,8 @@ pub(crate) struct Overview {
     /// Whether the present data reveal damage. `None` if the alert service does not report it.
     pub(crate) monitoring: Option<MonitoringState>,
     pub(crate) last_alert: Option<LastAlert>,
+    /// The last report of an earthquake, if it is not too old.
+    pub(crate) earthquake: Option<EarthquakeReported>,
     /// Number of raised alerts that are not acknowledged.
     pub(crate) raised: usize,
     /// Number of active alerts that are acknowledged.
@@ -99,6 +101,39 @@ pub(crate) struct LastAlert {
     pub(crate) state: AlertState,
     pub(crate) time_s: f64,
     pub(crate) why: String,
+}
+
+/// A report of an earthquake.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct EarthquakeReported {
+    /// Name of the report.
+    pub(crate) report: String,
+    /// Time of the last frame in its recording (s since the Unix epoch, UTC).
+    pub(crate) time_s: f64,
+    /// How soon an inspector is needed, in words.
+    pub(crate) urgency: String,
+    /// The result in one or two sentences.
+    pub(crate) result: String,
+}
+
+/// Time for which the overview shows a report (ns of measurement time). The last usual report of an
+/// earthquake follows after a day.
+const REPORTED_NS: i64 = 2 * 86_400_000_000_000;
+
+fn earthquake(store: &Store) -> Option<EarthquakeReported> {
+    let is_report = |event: &&Event| event.kind == EventKind::EarthquakeReport;
+    let event = store.events.iter().find(is_report)?;
+    let newest_ns = store.state.time_ns.unwrap_or(event.time_ns);
+    if newest_ns.saturating_sub(event.time_ns) > REPORTED_NS {
+        return None;
+    }
+    let path = ReportPage::path(&store.about.name, &event.subject);
+    Some(EarthquakeReported {
+        report: event.subject.clone(),
+        time_s: event.time_ns as f64 / 1e9,
+        urgency: event.what.strip_prefix(ReportPage::EVENT)?.to_owned(),
+        result: event.why.trim_end_matches(&path).trim_end().to_owned(),
+    })
 }
 
 /// Returns the overview of a structure.
@@ -161,6 +196,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         fit: store.state.fit.as_ref().map(|fit| fit.verdict),
         monitoring: store.state.monitoring().map(|display| display.state),
         last_alert,
+        earthquake: earthquake(store),
         raised,
         acknowledged,
     }
@@ -331,6 +367,7 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         (Level::Warning, contradicted_fit(store)),
         (Level::Warning, troubled),
         (Level::Warning, missing),
+        (Level::Notice, alerts(AlertState::SofteningInMotion)),
         // A cleared alert waits for its acknowledgement.
         (Level::Notice, alerts(AlertState::Cleared)),
         (Level::Notice, alerts(AlertState::Acknowledged)),

@@ -19,14 +19,14 @@ const PRIOR_STD: f64 = 1.0;
 /// c: motions of the same amplitude differ in duration and frequency (Δ ln k).
 const SCATTER: f64 = 0.25;
 
-/// One earlier event with shaking.
+/// One event with shaking.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Softened {
-    /// h
+pub struct Softened {
+    /// h: decades of amplitude above the limit of weak motion.
     pub decades: f64,
-    /// d
+    /// d: change of ln(stiffness) from weak motion to the softest moment.
     pub change: f64,
-    /// v
+    /// v: variance of d.
     pub variance: f64,
 }
 
@@ -47,7 +47,8 @@ pub struct Expected {
 const AS_EXPECTED: f64 = 2.0;
 
 /// Compares an event with the earlier ones. Returns `None` without an earlier event that shook.
-pub(crate) fn compare(earlier: &[Softened], now: &Softened) -> Option<Expected> {
+#[must_use]
+pub fn compare(earlier: &[Softened], now: &Softened) -> Option<Expected> {
     if earlier.is_empty() {
         return None;
     }

@@ -326,8 +326,15 @@ impl Detection {
         self.state.doing = Doing::Watching;
     }
 
-    /// Takes one frame at a time (ns) with its values, `NaN` where one is missing.
-    pub fn push(&mut self, frame: u64, time_ns: i64, values: &[f64], found: &mut Vec<Detected>) {
+    /// Takes one frame at a time (ns) with its values, `NaN` where one is missing. Returns the largest
+    /// deviation of a channel from its offset.
+    pub fn push(
+        &mut self,
+        frame: u64,
+        time_ns: i64,
+        values: &[f64],
+        found: &mut Vec<Detected>,
+    ) -> f64 {
         let is_new = self.state.next == 0;
         self.state.next = frame + 1;
         if is_new {
@@ -390,6 +397,7 @@ impl Detection {
             }
             Doing::Later { .. } => {}
         }
+        deviation
     }
 
     fn begin_later(&mut self, frame: u64, time_ns: i64) {

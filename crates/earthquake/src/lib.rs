@@ -53,7 +53,7 @@ pub mod amplitude;
 pub mod between;
 pub mod sequence;
 
-pub use amplitude::Expected;
+pub use amplitude::{Expected, Softened};
 pub use between::{Coverage, EventValue, Interval, Pooled, leave_one_out};
 pub use course::{CoursePoint, EventCourse, FrameEstimate, WeakMotion};
 pub use detection::{

@@ -2,6 +2,7 @@
 
 use spandrel_bus::{BusError, NameError};
 use spandrel_checkpoint::CheckpointError;
+use spandrel_earthquake::EarthquakeError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
@@ -16,6 +17,14 @@ pub enum IdentifyError {
         structure: String,
         /// The cause.
         source: FilterError,
+    },
+    /// Strong motion cannot be told from weak motion.
+    #[error("cannot find strong motion of structure {structure}")]
+    Earthquakes {
+        /// The structure.
+        structure: String,
+        /// The cause.
+        source: EarthquakeError,
     },
     /// The nodes do not run their own identification, or there is no such node.
     #[error(

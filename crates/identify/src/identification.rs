@@ -5,6 +5,7 @@ mod events;
 mod fit;
 mod hearing;
 mod reliability;
+mod motion;
 mod sensors;
 mod state;
 
@@ -17,6 +18,7 @@ use crate::screening::ScreeningView;
 use fit::FitView;
 use hearing::Hearing;
 use reliability::Reliability;
+use motion::Motion;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Block, ChannelState, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,
@@ -165,6 +167,8 @@ pub struct Identification {
     channel_names: Vec<Name>,
     /// Nodes with a channel that is compared with others, and the channels of each in a frame.
     compared: Vec<(Name, std::ops::Range<usize>)>,
+    /// `None` if the structure file does not state what strong motion is.
+    motion: Option<Motion>,
 }
 
 /// Returns the initial state of an excitation component.
@@ -263,6 +267,10 @@ impl Identification {
             .collect::<Result<_, _>>()?;
         let check = SensorCheck::new(structure);
         let compared = sensors::compared_nodes(structure, &check)?;
+        let motion = Motion::new(structure).map_err(|source| IdentifyError::Earthquakes {
+            structure: structure.name().to_owned(),
+            source,
+        })?;
         let channel_names = structure
             .channels()
             .map(|channel| named(channel.name()))
@@ -328,6 +336,7 @@ impl Identification {
             settling: 0,
             compared,
             channel_names,
+            motion,
         })
     }
 
@@ -483,6 +492,9 @@ impl Identification {
             self.estimator.forget_motion();
             self.check.forget_motion();
             self.reset_band_limit();
+            if let Some(motion) = &mut self.motion {
+                motion.restart();
+            }
             outputs.push(self.event(
                 block.header.time_ns,
                 EventKind::Restart,
@@ -507,6 +519,9 @@ impl Identification {
         outputs: &mut Vec<Output>,
     ) {
         let time_ns = grid.time_ns(number);
+        if let Some(motion) = &mut self.motion {
+            motion.take(number, time_ns, values);
+        }
         self.frame.copy_from_slice(values);
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.frame);
@@ -708,6 +723,7 @@ impl Identification {
             fit: judged.map(|judged| judged.verdict),
             fit_reasons: judged.map(|judged| judged.reasons).unwrap_or_default(),
             follows_jump: self.estimator.fit().follows_jump(),
+            strong_motion: self.motion.as_ref().and_then(Motion::strong),
         }
     }
 

@@ -319,15 +319,30 @@ impl Judging {
         {
             return Some(Finding::LastingLoss(change(step, found_day(lost))));
         }
+        if lost.is_some() {
+            return lost; // an alarm stays, even if no candidate speaks for a loss any longer
+        }
         if let Some(step) = self.learned_away(frame, per_stiffness) {
             return Some(Finding::LearnedAway(change(step, frame.day)));
         }
-        if (known.is_some() || self.detector.finds_gain())
+        if (known.is_some() || (self.detector.finds_gain() && self.exceeds_reference()))
             && let Some(step) = self.detector.gain()
         {
             return Some(Finding::Stiffer(change(step, found_day(known))));
         }
         known
+    }
+
+    /// Returns `true` if a gain leads beyond the commissioning. Otherwise a loss that was learnt has come
+    /// back, at most.
+    fn exceeds_reference(&self) -> bool {
+        let Reference {
+            conditions,
+            posterior,
+            ..
+        } = &self.reference;
+        let learnt = self.adaptive.expected(conditions) - posterior.expected(conditions);
+        self.detector.gains_beyond(learnt, conditions)
     }
 
     /// Returns the drift of the adaptive model from the frozen one at the reference conditions, if

@@ -190,6 +190,17 @@ impl Detector {
         self.most_likely(1.0)
     }
 
+    /// Returns `true` if the most likely gain matters beside what the model has `learnt` before: a change
+    /// of ln(value) since the commissioning, under its conditions `x`.
+    ///
+    /// The model has learnt part of the gain itself. Only the rest is added.
+    pub(crate) fn gains_beyond(&self, learnt: f64, x: &DVector<f64>) -> bool {
+        self.best(1.0).is_some_and(|best| {
+            let rest = best.moment / best.information * best.remainder(x);
+            learnt + rest >= SMALLEST_STEP * self.unit
+        })
+    }
+
     fn counting(&self) -> impl Iterator<Item = &Candidate> {
         let counts = |candidate: &&Candidate| candidate.judged_days >= SHORTEST_STEP_DAYS;
         self.candidates.iter().filter(counts)
@@ -207,16 +218,20 @@ impl Detector {
         }
     }
 
-    /// Returns the step of the candidate with the largest likelihood ratio, moment²/information,
+    /// Returns the candidate with the largest likelihood ratio, moment²/information,
     /// among the steps of one sign.
     ///
     /// The evidence would not do: its clipped residuals hardly distinguish neighbouring candidates.
-    fn most_likely(&self, sign: f64) -> Option<StepEstimate> {
+    fn best(&self, sign: f64) -> Option<&Candidate> {
         let has_sign =
             |candidate: &&Candidate| candidate.information > 0.0 && sign * candidate.moment > 0.0;
         let ratio = |candidate: &Candidate| candidate.moment.powi(2) / candidate.information;
         let candidates = self.counting().filter(has_sign);
-        let best = candidates.max_by(|a, b| ratio(a).total_cmp(&ratio(b)))?;
+        candidates.max_by(|a, b| ratio(a).total_cmp(&ratio(b)))
+    }
+
+    fn most_likely(&self, sign: f64) -> Option<StepEstimate> {
+        let best = self.best(sign)?;
         Some(StepEstimate {
             day: best.day,
             size: best.moment / best.information,

@@ -1,6 +1,6 @@
 //! The state machine: epochs in, one judgement per quantity and day out.
 
-use crate::condition_watch::ConditionWatch;
+use crate::condition_watch::{ConditionWatch, Doubt};
 use crate::course::{Course, Frame};
 use crate::day::DAY_S;
 use crate::epoch::Epoch;
@@ -134,6 +134,10 @@ impl Judge {
         let courses = self.courses.iter_mut().enumerate();
         let concerned = courses.filter(|(index, _)| quantity.is_none_or(|of| of == *index));
         concerned.for_each(|(_, course)| *course = Course::new());
+        // A thermometer that was moved has jumped for all quantities.
+        if quantity.is_none() || self.courses.len() == 1 {
+            self.watches.fill(ConditionWatch::default());
+        }
     }
 
     fn check(&self, epoch: &Epoch) -> Result<(), JudgeError> {
@@ -170,19 +174,22 @@ impl Judge {
         }
     }
 
-    /// Returns the conditions in the scale of the model, or `None` if one is missing or frozen.
+    /// Returns the conditions in the scale of the model, or `None` if one is missing, is frozen or has
+    /// jumped.
     fn conditions(&mut self, epoch: &Epoch) -> Option<Vec<f64>> {
         let mut values = Vec::with_capacity(epoch.conditions.len());
         let mut absence = None;
         let declared = self.settings.conditions.iter().zip(&mut self.watches);
         for ((condition, watch), value) in declared.zip(&epoch.conditions) {
             let value = value.and_then(|value| condition.kind.convert(value).ok());
-            match value {
-                Some(value) if watch.is_frozen(epoch.time_s, value) => {
-                    absence = Some(Absence::Frozen(condition.name.clone()));
-                }
-                Some(value) => values.push(value),
-                None => absence = Some(Absence::Condition(condition.name.clone())),
+            let Some(value) = value else {
+                absence = Some(Absence::Condition(condition.name.clone()));
+                continue;
+            };
+            match watch.doubt(epoch.time_s, value, condition.kind.is_temperature()) {
+                Some(Doubt::Frozen) => absence = Some(Absence::Frozen(condition.name.clone())),
+                Some(Doubt::Jumped) => absence = Some(Absence::Jumped(condition.name.clone())),
+                None => values.push(value),
             }
         }
         match absence {

@@ -64,8 +64,10 @@ pub enum Absence {
     Quantity,
     /// A condition was not measured.
     Condition(String),
-    /// A thermometer has not changed for a day or longer.
+    /// A condition has not changed for a day or longer.
     Frozen(String),
+    /// A thermometer has jumped and has not gone back.
+    Jumped(String),
 }
 
 /// A lasting change that has been found. It remains until the reference starts anew.
@@ -218,6 +220,10 @@ impl Judgement {
                 }
                 Absence::Frozen(condition) => format!(
                     "{name} is not judged, because {condition} has not changed for a day or longer."
+                ),
+                Absence::Jumped(condition) => format!(
+                    "{name} is not judged, because {condition} has jumped from one epoch to the next \
+                     and has not gone back. Check the thermometer."
                 ),
             },
         }

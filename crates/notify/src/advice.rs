@@ -15,6 +15,9 @@ pub(crate) fn advice(report: &Report, scene: &Scene<'_>) -> String {
                                that lasts."
             .to_owned(),
         Report::Judgement(display) => of_judgement(display),
+        Report::Earthquake(_) => {
+            "Read the report. It says whether an inspector is needed.".to_owned()
+        }
     }
 }
 
@@ -38,6 +41,12 @@ fn of_alert(alert: &AlertMessage, scene: &Scene<'_>) -> String {
         AlertState::Acknowledged => {
             let who = alert.acknowledged_by.as_deref().unwrap_or("Somebody");
             return format!("{who} has acknowledged the alert. Ask {who} for the present state.");
+        }
+        AlertState::SofteningInMotion => {
+            return format!(
+                "No action is required now. {part} is judged again from weak motion. Read the report \
+                 of the earthquake."
+            );
         }
         AlertState::Undecided => {
             let because = alert.undecided_because.map_or("", UndecidedBecause::words);

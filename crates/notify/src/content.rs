@@ -5,8 +5,8 @@ use crate::origin::Origin;
 use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    AlertMessage, ChannelMonitoring, FitReasons, FitVerdict, JudgementDisplay, MonitoringDisplay,
-    MonitoringState, Name, ReportPage, fit_in_words, is_without_date,
+    AlertMessage, ChannelMonitoring, Event, FitReasons, FitVerdict, JudgementDisplay,
+    MonitoringDisplay, MonitoringState, Name, ReportPage, fit_in_words, is_without_date,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,6 +24,8 @@ pub(crate) enum Report {
     Summary(Summary),
     /// A lasting change of a quantity.
     Judgement(JudgementDisplay),
+    /// A report of an earthquake, which is ready.
+    Earthquake(Event),
 }
 
 /// A summary of notices that were held back.
@@ -68,6 +70,8 @@ pub(crate) enum Concern {
     Present,
     /// A lasting change.
     Lasting,
+    /// The report of an earthquake.
+    Earthquake,
 }
 
 /// The content of a notice.
@@ -101,6 +105,7 @@ impl Content {
             Report::Monitoring(display) => Some(display.state.into()),
             Report::Summary(_) => None,
             Report::Judgement(display) => display.change.map(|change| change.kind.into()),
+            Report::Earthquake(_) => Some(NoticeState::EarthquakeReport),
         }
     }
 
@@ -118,6 +123,7 @@ impl Content {
             Report::Monitoring(display) => &display.structure,
             Report::Summary(summary) => &summary.structure,
             Report::Judgement(display) => &display.structure,
+            Report::Earthquake(event) => &event.structure,
         }
     }
 
@@ -126,13 +132,14 @@ impl Content {
         match &self.report {
             Report::Alert(alert) => Some(&alert.parameter),
             Report::Judgement(display) => Some(&display.quantity),
-            Report::Monitoring(_) | Report::Summary(_) => None,
+            Report::Monitoring(_) | Report::Summary(_) | Report::Earthquake(_) => None,
         }
     }
 
     pub(crate) fn subject(&self) -> Subject {
         let concern = match &self.report {
             Report::Judgement(_) => Concern::Lasting,
+            Report::Earthquake(_) => Concern::Earthquake,
             Report::Alert(_) | Report::Monitoring(_) | Report::Summary(_) => Concern::Present,
         };
         (self.structure().clone(), self.part().cloned(), concern)
@@ -148,6 +155,7 @@ impl Content {
             Report::Judgement(display) => display
                 .change
                 .map_or(display.time_ns, |change| change.found_ns),
+            Report::Earthquake(event) => event.time_ns,
         }
     }
 
@@ -176,6 +184,7 @@ impl Content {
                 count => format!("{}: {count} notices were held back", summary.cause),
             },
             Report::Judgement(display) => display.sentence.trim_end_matches('.').to_owned(),
+            Report::Earthquake(event) => format!("{}: {}", event.what, event.why),
         }
     }
 
@@ -188,9 +197,10 @@ impl Content {
     /// Returns the report in a line of a summary.
     pub(crate) fn line(&self) -> String {
         let state = self.state().map_or("", NoticeState::as_str);
-        let what = match self.part() {
-            Some(part) => part.as_str(),
-            None => "monitoring",
+        let what = match (self.part(), &self.report) {
+            (Some(part), _) => part.as_str(),
+            (None, Report::Earthquake(_)) => "earthquake",
+            (None, _) => "monitoring",
         };
         format!(
             "{} {what} {state}: {}",
@@ -214,6 +224,9 @@ fn key(report: &Report) -> String {
             format!("{}/summary/{}", summary.structure, summary.time_ns)
         }
         Report::Judgement(display) => judgement_key(display),
+        Report::Earthquake(event) => {
+            format!("{}/earthquake-report/{}", event.structure, event.subject)
+        }
     }
 }
 
@@ -296,6 +309,7 @@ impl Scene<'_> {
             Report::Monitoring(display) => (None, display.measured_ns),
             Report::Summary(_) => (None, None),
             Report::Judgement(display) => (Some(&display.quantity), display.epoch_ns),
+            Report::Earthquake(event) => (None, Some(event.time_ns)),
         };
         // A judgement rests on all samples since the commissioning.
         let origin = match &report {
@@ -319,7 +333,10 @@ impl Scene<'_> {
             others: self.others(part),
             origin,
             advice,
-            link: self.link(part, moment_ns),
+            link: match &report {
+                Report::Earthquake(event) => self.link_to_report(&event.subject),
+                _ => self.link(part, moment_ns),
+            },
         };
         Content::new(report, circumstances)
     }
@@ -338,6 +355,13 @@ impl Scene<'_> {
         format!(
             " The report of the earthquake is at {base}{path} within a minute after the motion."
         )
+    }
+
+    /// Returns the address of a report. Empty without a public address.
+    fn link_to_report(&self, report: &str) -> String {
+        let path = ReportPage::path(self.facts.structure.as_str(), report);
+        let base = self.facts.public_url.as_ref();
+        base.map_or_else(String::new, |base| format!("{base}{path}"))
     }
 
     fn quality(&self) -> String {
@@ -459,6 +483,30 @@ mod tests {
         for without in [quake_s - 3600, quake_s + day_s + 5] {
             assert!(!advice(without).contains("/events/"), "{}", advice(without));
         }
+    }
+
+    #[test]
+    fn notice_of_a_report_says_how_urgent_it_is_and_links_to_it() {
+        let event = Event {
+            structure: name("house"),
+            time_ns: 1_700_000_000_000_000_000,
+            kind: spandrel_bus::EventKind::EarthquakeReport,
+            subject: "2023-11-14t22-13-20z".to_owned(),
+            what: "earthquake report: inspect first".to_owned(),
+            why: "storey-2 has lost 12 %. /events/house/2023-11-14t22-13-20z.html".to_owned(),
+        };
+        let content = compose(Report::Earthquake(event), &[], Some("https://a.example"));
+        assert_eq!(content.state(), Some(NoticeState::EarthquakeReport));
+        assert!(!content.is_open());
+        assert_eq!(
+            content.circumstances.link,
+            "https://a.example/events/house/2023-11-14t22-13-20z.html"
+        );
+        let line = content.line();
+        assert!(
+            line.contains("earthquake earthquake-report: earthquake report: inspect first"),
+            "{line}"
+        );
     }
 
     fn compose(report: Report, alerts: &[AlertMessage], public_url: Option<&str>) -> Content {

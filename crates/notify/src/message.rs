@@ -1,10 +1,12 @@
 //! The content of notices in the formats of the receivers.
 
 use crate::content::{Content, Report, iso_8601};
+use crate::state::NoticeState;
 use crate::template::variables;
 use serde_json::{Value, json};
 use spandrel_bus::{
-    AlertMessage, AlertState, JudgementDisplay, MonitoringDisplay, MonitoringState, fit_in_words,
+    AlertMessage, AlertState, Event, JudgementDisplay, MonitoringDisplay, MonitoringState,
+    fit_in_words,
 };
 
 /// Default template of the subject of an e-mail.
@@ -36,6 +38,7 @@ pub(crate) fn plain(content: &Content) -> Value {
         Report::Monitoring(display) => json!(display),
         Report::Summary(summary) => json!(summary),
         Report::Judgement(display) => json!(display),
+        Report::Earthquake(event) => json!(event),
     };
     let variables = variables(content);
     for name in ADDED {
@@ -53,6 +56,7 @@ pub(crate) fn for_alertmanager(content: &Content) -> Value {
         Report::Monitoring(display) => of_monitoring(display),
         Report::Summary(_) => Vec::new(), // Alertmanager summarises by itself
         Report::Judgement(display) => of_judgement(display).into_iter().collect(),
+        Report::Earthquake(event) => vec![of_earthquake(event)],
     };
     let circumstances = &content.circumstances;
     for alert in &mut alerts {
@@ -82,12 +86,17 @@ pub(crate) fn for_alertmanager(content: &Content) -> Value {
 
 fn of_alert(alert: &AlertMessage) -> Value {
     let is_over = matches!(alert.state, AlertState::Cleared | AlertState::Normal);
+    let severity = match alert.state {
+        AlertState::SofteningInMotion => "info",
+        AlertState::Pending | AlertState::Undecided => "warning",
+        _ => "critical",
+    };
     let mut value = json!({
         "labels": {
             "alertname": "SpandrelStiffnessLoss",
             "structure": alert.structure.as_str(),
             "parameter": alert.parameter.as_str(),
-            "severity": if matches!(alert.state, AlertState::Pending | AlertState::Undecided) { "warning" } else { "critical" },
+            "severity": severity,
         },
         "annotations": { "state": alert.state.as_str() },
     });
@@ -119,6 +128,20 @@ fn of_judgement(display: &JudgementDisplay) -> Option<Value> {
         "annotations": { "state": change.kind.as_str() },
         "startsAt": iso_8601(change.found_ns),
     }))
+}
+
+/// Each report is an alert of its own, which Alertmanager resolves after its timeout.
+fn of_earthquake(event: &Event) -> Value {
+    json!({
+        "labels": {
+            "alertname": "SpandrelEarthquakeReport",
+            "structure": event.structure.as_str(),
+            "report": event.subject,
+            "severity": "info",
+        },
+        "annotations": { "state": NoticeState::EarthquakeReport.as_str() },
+        "startsAt": iso_8601(event.time_ns),
+    })
 }
 
 /// Blind and degraded are separate alerts. The inactive alert ends.

@@ -68,7 +68,7 @@ impl Wish {
         let stands = match &content.report {
             Report::Alert(alert) => alert.stands(),
             Report::Monitoring(_) | Report::Judgement(_) => content.is_open(),
-            Report::Summary(_) => false,
+            Report::Summary(_) | Report::Earthquake(_) => false,
         };
         let told_as = match content.state() {
             Some(NoticeState::Unconfirmed) => Some(NoticeState::Raised),
@@ -195,7 +195,10 @@ impl Outbox {
         }
         let is_news = match &content.report {
             Report::Alert(alert) => self.is_news(&of, alert),
-            Report::Monitoring(_) | Report::Summary(_) | Report::Judgement(_) => true,
+            Report::Monitoring(_)
+            | Report::Summary(_)
+            | Report::Judgement(_)
+            | Report::Earthquake(_) => true,
         };
         for place in &mut self.boxes {
             let is_wished = place.wish.wants(content.state());

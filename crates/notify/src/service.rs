@@ -118,6 +118,8 @@ struct Source {
     judged: BTreeMap<Name, String>,
     /// The latest earthquake since the start of the service.
     earthquake: Option<Earthquake>,
+    /// Reports of earthquakes whose notices are not composed yet. The queue of the listener bounds it.
+    reported: Vec<Event>,
     /// Number of alerts received.
     taken: u64,
     simulated: LiveWatch,
@@ -194,6 +196,7 @@ impl NotifyService {
                     changes: VecDeque::new(),
                     judged: BTreeMap::new(),
                     earthquake: None,
+                    reported: Vec::new(),
                     taken: 0,
                     simulated: bus.watch_live(keys.all_simulated()).await?,
                     maintenance: bus
@@ -422,6 +425,9 @@ impl Source {
                         time_ns: event.time_ns,
                     });
                 }
+                Input::Event(event) if event.kind == EventKind::EarthquakeReport => {
+                    self.reported.push(event.clone());
+                }
                 _ => {}
             }
             self.state.handle(input, &mut Vec::new());
@@ -544,6 +550,7 @@ impl Source {
         while let Some((display, _)) = self.changes.pop_front_if(|(_, due)| *due <= now) {
             reports.push(Report::Judgement(display));
         }
+        reports.extend(self.reported.drain(..).map(Report::Earthquake));
         reports.extend(
             self.sight
                 .look(self.origins.origin(), now, wall_ns)

@@ -399,7 +399,8 @@ fn check_states(states: &[NoticeState], place: &str) -> Result<(), NotifyError> 
     let (found, allowed) = (
         "empty".to_owned(),
         "one or more of learning, undecided, normal, pending, raised, unconfirmed, acknowledged, \
-         cleared, blind, degraded, watching",
+         cleared, softening-in-motion, blind, degraded, watching, \
+         lasting-loss, stiffer, earthquake-report",
     );
     Err(NotifyError::Setting {
         place: place.to_owned(),

@@ -23,6 +23,8 @@ pub enum NoticeState {
     Undecided,
     /// The alert is open, but the present data do not support a decision.
     Unconfirmed,
+    /// A loss is credible in strong motion, which is no damage.
+    SofteningInMotion,
     /// The data of a structure reveal no damage.
     Blind,
     /// The data of a structure reveal damage of some parts only.
@@ -33,11 +35,16 @@ pub enum NoticeState {
     LastingLoss,
     /// A quantity has become stiffer for good.
     Stiffer,
+    /// A report of an earthquake is ready.
+    EarthquakeReport,
 }
+
+/// Name of [`NoticeState::EarthquakeReport`], as that of the event.
+const EARTHQUAKE_REPORT: &str = "earthquake-report";
 
 impl NoticeState {
     /// All states.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::Learning,
         Self::Normal,
         Self::Pending,
@@ -46,11 +53,13 @@ impl NoticeState {
         Self::Cleared,
         Self::Undecided,
         Self::Unconfirmed,
+        Self::SofteningInMotion,
         Self::Blind,
         Self::Degraded,
         Self::Watching,
         Self::LastingLoss,
         Self::Stiffer,
+        Self::EarthquakeReport,
     ];
 
     /// Returns the name of the state, as in the configuration.
@@ -65,11 +74,13 @@ impl NoticeState {
             Self::Cleared => AlertState::Cleared.as_str(),
             Self::Undecided => AlertState::Undecided.as_str(),
             Self::Unconfirmed => AlertState::Unconfirmed.as_str(),
+            Self::SofteningInMotion => AlertState::SofteningInMotion.as_str(),
             Self::Blind => MonitoringState::Blind.as_str(),
             Self::Degraded => MonitoringState::Degraded.as_str(),
             Self::Watching => MonitoringState::Watching.as_str(),
             Self::LastingLoss => ChangeKind::LastingLoss.as_str(),
             Self::Stiffer => ChangeKind::Stiffer.as_str(),
+            Self::EarthquakeReport => EARTHQUAKE_REPORT,
         }
     }
 
@@ -87,8 +98,10 @@ impl NoticeState {
             | Self::Normal
             | Self::Acknowledged
             | Self::Cleared
+            | Self::SofteningInMotion
             | Self::Watching
-            | Self::Stiffer => false,
+            | Self::Stiffer
+            | Self::EarthquakeReport => false,
         }
     }
 }
@@ -125,6 +138,7 @@ impl From<AlertState> for NoticeState {
             AlertState::Cleared => Self::Cleared,
             AlertState::Undecided => Self::Undecided,
             AlertState::Unconfirmed => Self::Unconfirmed,
+            AlertState::SofteningInMotion => Self::SofteningInMotion,
         }
     }
 }

@@ -196,6 +196,7 @@ pub(crate) fn variables(content: &Content) -> Map<String, serde_json::Value> {
                 set("loss_level", percent(change.interval.level));
             }
         }
+        Report::Earthquake(_) => set("kind", json!("earthquake-report")),
         Report::Summary(summary) => {
             set("kind", json!("summary"));
             set("lines", json!(summary.lines));

@@ -416,7 +416,7 @@ impl ReportsService {
             time_ns: kept.about.end_ns,
             kind: EventKind::EarthquakeReport,
             subject: report,
-            what: format!("earthquake report: {}", made.urgency),
+            what: format!("{}{}", ReportPage::EVENT, made.urgency),
             why: format!("{occasion}{space}{} {path}", made.headline),
         }
         .legible()
@@ -568,12 +568,10 @@ fn of_thread<T>(joined: Result<T, JoinError>) -> Option<T> {
 }
 
 fn detection_settings(structure: &Structure, plan: &EarthquakePlan) -> DetectionSettings {
-    let frequencies = structure.natural_frequencies_hz().into_iter();
-    let lowest = frequencies.filter(|frequency| *frequency > 0.0);
     let bytes = (structure.channel_count() * size_of::<f64>()).max(1);
     DetectionSettings {
         rate_hz: structure.sampling_rate_hz(),
-        fundamental_hz: lowest.reduce(f64::min).unwrap_or(1.0),
+        fundamental_hz: structure.fundamental_hz().unwrap_or(1.0),
         channels: plan.channels.len(),
         trigger: plan.trigger_m_per_s2,
         strong: plan.strong_m_per_s2,

@@ -443,6 +443,15 @@ impl Structure {
             .filter(|channel| !channel.quantity().is_excitation())
     }
 
+    /// Returns the lowest natural frequency as designed (Hz) that is above 0. `None` without one.
+    #[must_use]
+    pub fn fundamental_hz(&self) -> Option<f64> {
+        let frequencies = self.natural_frequencies_hz().into_iter();
+        frequencies
+            .filter(|frequency| *frequency > 0.0)
+            .reduce(f64::min)
+    }
+
     /// Returns the natural frequencies as designed (Hz), lowest first.
     #[must_use]
     pub fn natural_frequencies_hz(&self) -> Vec<f64> {

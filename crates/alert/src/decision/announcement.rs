@@ -2,7 +2,8 @@
 
 use super::{Decision, Stage};
 use crate::credibility::{loss_estimate, probability_of_loss};
-use crate::{Alert, LossEstimate, ParameterEstimate, wording::describe};
+use crate::wording::{Before, describe};
+use crate::{Alert, LossEstimate, ParameterEstimate};
 use spandrel_bus::{AlertState, EstimateFlags};
 
 /// Minimum time between revisions of a raised alert, ns of measurement time.
@@ -34,6 +35,15 @@ impl Decision {
             .loss
             .is_none_or(|told| disagree(&told, &loss_estimate(estimate, reference)));
         if has_jumped || has_moved {
+            self.announce(alerts);
+        }
+    }
+
+    /// Announces softening again when the strong motion has ended, because its amplitude is now known.
+    pub(super) fn revise_softening(&mut self, has_calmed: bool, alerts: &mut Vec<Alert>) {
+        let last = self.last_alert.as_ref();
+        let is_soft = last.is_some_and(|last| last.state == AlertState::SofteningInMotion);
+        if has_calmed && is_soft {
             self.announce(alerts);
         }
     }
@@ -71,7 +81,13 @@ impl Decision {
             .as_ref()
             .filter(|last| alert.is_same_state(last))
             .map_or(0, |last| last.revision + 1);
-        alert.why = describe(&self.subject, &self.rule, &alert, self.last_alert.as_ref());
+        let limit = self.strong_m_per_s2.zip(reference);
+        let shaking = limit.and_then(|(limit, reference)| self.motion.shaking(&reference, limit));
+        let before = Before {
+            alert: self.last_alert.as_ref(),
+            shaking: shaking.as_ref(),
+        };
+        alert.why = describe(&self.subject, &self.rule, &alert, before);
         Some(alert)
     }
 

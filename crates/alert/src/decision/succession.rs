@@ -28,6 +28,7 @@ impl Decision {
             former.rule.reference() == self.rule.reference() && (model == Model::Same || !learns);
         (self.knowledge, self.last) = (former.knowledge, former.last);
         (self.support, self.jump) = (former.support, former.jump);
+        self.motion = former.motion.clone();
         if keeps_reference {
             self.stage = former.stage.clone();
         }
@@ -49,13 +50,16 @@ impl Decision {
             AlertState::Raised | AlertState::Acknowledged | AlertState::Unconfirmed => {
                 AlertState::Cleared
             }
-            AlertState::Pending | AlertState::Undecided => AlertState::Normal,
+            AlertState::Pending | AlertState::Undecided | AlertState::SofteningInMotion => {
+                AlertState::Normal
+            }
             AlertState::Learning | AlertState::Normal | AlertState::Cleared => return None,
         };
         if let Stage::Watching { watch, .. } = &mut self.stage {
             *watch = Watching::Normal;
         }
         self.support = Support::default();
+        self.motion.suspend();
         let alert = self.alert(state)?;
         Some(Alert {
             why: describe_end(&self.subject, end),
@@ -72,8 +76,11 @@ impl Decision {
             return; // no alert can exist while a reference is learnt
         };
         match stood.clone() {
-            Watching::Normal => self.take_up(Watching::Normal),
-            Watching::Pending { .. } => {
+            Watching::Normal if self.motion.softening_since_ns().is_none() => {
+                self.take_up(Watching::Normal);
+            }
+            Watching::Normal | Watching::Pending { .. } => {
+                self.motion.suspend();
                 self.take_up(Watching::Normal);
                 self.announce(alerts);
             }

@@ -401,4 +401,5 @@ fn state_restored_at_any_second_gives_the_same_alerts() {
     }
 }
 
+mod motion;
 mod support;

@@ -9,6 +9,7 @@ use spandrel_bus::{AlertState, EstimateFlags, FitReasons};
 
 use super::{Input, Knowledge};
 use crate::alert::Acknowledged;
+use crate::motion::Motion;
 use crate::support::{DecidedFrames, Jump, Support};
 use crate::{AlertError, Learning, LossEstimate, ParameterEstimate};
 
@@ -34,6 +35,7 @@ impl From<Decision> for crate::Decision {
             knowledge: former.knowledge,
             support: Support::default(),
             jump: Jump::default(),
+            motion: Motion::default(),
             decided: DecidedFrames::default(),
             last: former
                 .last_estimate
@@ -41,6 +43,7 @@ impl From<Decision> for crate::Decision {
             last_alert: former.last_alert.map(Into::into),
             sustained_std: None,
             changes_without: Vec::new(),
+            strong_m_per_s2: None,
         };
         // The filter that made those estimates does not continue. The present filter starts from
         // its prior.

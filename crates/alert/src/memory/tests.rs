@@ -3,6 +3,7 @@ use spandrel_bus::{Estimate, EstimateBlock, EstimateFlags, Header, StreamState};
 
 use super::*;
 use crate::Acknowledged;
+use std::path::Path;
 
 const TOWER: &str = include_str!("../../tests/tower.toml");
 const RULE: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
@@ -59,6 +60,21 @@ pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
     state.watch.handle_block(&block, &mut alerts).unwrap();
     state.log.extend(alerts.iter().cloned());
     alerts
+}
+
+/// Returns the state in the newest checkpoint of a folder, of any version.
+pub(super) fn recalled_from(kept: &Path, structure: &Structure) -> AlertState {
+    let folder = tempfile::tempdir().unwrap();
+    for entry in std::fs::read_dir(kept).unwrap() {
+        let path = entry.unwrap().path();
+        std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
+    }
+    let remembering = Remembering {
+        folder: folder.path().to_owned(),
+        every: Duration::from_secs(5),
+    };
+    let memory = Memory::open(structure, &remembering).unwrap().recall();
+    memory.expect("a checkpoint that is read")
 }
 
 /// Returns a state in which storey 2 has lost 14 %. Ada has acknowledged the alert if
@@ -119,6 +135,26 @@ fn checkpoint_read_under_the_same_rules_is_not_a_change() {
     assert!(state.is_stored_like(&read));
     second_of(&mut state, [1.0, 0.86]);
     assert!(!state.is_stored_like(&read));
+}
+
+/// A service of version 4 has resumed from the checkpoint of 0.1.0, and published its unsent alerts.
+#[test]
+fn state_of_version_4_holds_what_its_service_had_read() {
+    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kept");
+    let structure = Structure::read(&kept.join("0.1.0/structure.toml")).unwrap();
+    let oldest = recalled_from(&kept.join("0.1.0"), &structure);
+    let mut expected = AlertState::new(&structure, None).unwrap().succeed(oldest);
+    let mut read = recalled_from(&kept.join("4"), &structure);
+    assert_eq!(read.log.len(), 10);
+    expected.unsent.clear();
+    assert!(read.is_stored_like(&expected), "{read:?}\n{expected:?}");
+    for second in 4..=60 {
+        let (found, expected) = (
+            second_of(&mut read, [0.86, 1.0]),
+            second_of(&mut expected, [0.86, 1.0]),
+        );
+        assert_eq!(found, expected, "{second} s");
+    }
 }
 
 #[test]

@@ -54,15 +54,13 @@ impl From<Watch> for crate::Watch {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::second_of;
-    use super::super::{AlertState, Memory};
+    use super::super::AlertState;
+    use super::super::tests::{recalled_from, second_of};
     use crate::{Decision, Reference};
     use spandrel_bus::AlertState::{Acknowledged, Cleared, Learning, Normal, Pending, Raised};
     use spandrel_bus::Name;
-    use spandrel_checkpoint::Remembering;
     use spandrel_structure::Structure;
     use std::path::{Path, PathBuf};
-    use std::time::Duration;
 
     /// Returns the folder with the checkpoint that 0.1.0 left on disk, and its last published
     /// messages.
@@ -82,22 +80,6 @@ mod tests {
             &kept().join("state/spandrel/kept/house/checkpoints"),
             structure,
         )
-    }
-
-    fn recalled_from(kept: &Path, structure: &Structure) -> AlertState {
-        let folder = tempfile::tempdir().unwrap();
-        for entry in std::fs::read_dir(kept).unwrap() {
-            let path = entry.unwrap().path();
-            std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
-        }
-        let remembering = Remembering {
-            folder: folder.path().to_owned(),
-            every: Duration::from_secs(5),
-        };
-        Memory::open(structure, &remembering)
-            .unwrap()
-            .recall()
-            .expect("a checkpoint of version 2")
     }
 
     fn states(alerts: impl IntoIterator<Item = crate::Alert>) -> Vec<spandrel_bus::AlertState> {

@@ -30,11 +30,14 @@ pub enum AlertState {
     Undecided,
     /// The alert was raised and remains open, but the data do not currently support a decision.
     Unconfirmed,
+    /// Loss with the required credibility in strong motion, or before the structure has settled. It
+    /// informs, and is not damage.
+    SofteningInMotion,
 }
 
 impl AlertState {
     /// All states.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Learning,
         Self::Normal,
         Self::Pending,
@@ -43,6 +46,7 @@ impl AlertState {
         Self::Cleared,
         Self::Undecided,
         Self::Unconfirmed,
+        Self::SofteningInMotion,
     ];
 
     /// Returns the name of the state, as in the message.
@@ -57,6 +61,7 @@ impl AlertState {
             Self::Cleared => "cleared",
             Self::Undecided => "undecided",
             Self::Unconfirmed => "unconfirmed",
+            Self::SofteningInMotion => "softening-in-motion",
         }
     }
 }

@@ -24,7 +24,7 @@ pub enum Phase {
 }
 
 /// Special conditions of one frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EstimateFlags {
     /// Operating phase of the filter.
     pub phase: Phase,
@@ -39,6 +39,9 @@ pub struct EstimateFlags {
     pub fit_reasons: FitReasons,
     /// `true` while the filter follows a sudden change. The estimates are then still changing.
     pub follows_jump: bool,
+    /// Largest acceleration (m/s²) since the present strong motion began. `None` in weak motion,
+    /// and if nothing states what strong motion is.
+    pub strong_motion: Option<f32>,
 }
 
 /// Channels that are excluded because their sensors are faulty.
@@ -64,6 +67,7 @@ impl EstimateFlags {
             fit: None,
             fit_reasons: FitReasons::default(),
             follows_jump: false,
+            strong_motion: None,
         }
     }
 }
@@ -184,6 +188,9 @@ impl EstimateBlock {
                 parameters,
             )?;
         }
+        if let Some(peak) = estimate.flags.strong_motion {
+            check_range("strong motion", peak.into(), 0.0, f64::MAX)?;
+        }
         for &information in &estimate.sustained_information {
             check_range("sustained information", information.into(), 0.0, f64::MAX)?;
         }
@@ -209,7 +216,7 @@ fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(),
 
 impl Message for EstimateBlock {
     const TYPE: &'static str = "estimates";
-    const VERSION: u16 = 4;
+    const VERSION: u16 = 5;
     const FORMAT: Format = Format::Postcard;
 
     fn check(&self) -> Result<(), Malformed> {

@@ -45,7 +45,8 @@ impl LossDisplay {
             | AlertState::Raised
             | AlertState::Unconfirmed
             | AlertState::Acknowledged
-            | AlertState::Cleared => true,
+            | AlertState::Cleared
+            | AlertState::SofteningInMotion => true,
             AlertState::Learning | AlertState::Normal | AlertState::Undecided => false,
         };
         let is_same = (&self.parameter, self.rule_loss) == (&alert.parameter, alert.rule_loss);

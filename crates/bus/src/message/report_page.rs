@@ -23,6 +23,8 @@ pub struct ReportPage {
 impl ReportPage {
     /// Name of the list of all reports.
     pub const INDEX: &'static str = "index";
+    /// Start of the text of an event about a report. How soon an inspector is needed follows it.
+    pub const EVENT: &'static str = "earthquake report: ";
 
     /// Returns the path of a report on the page of the services.
     ///

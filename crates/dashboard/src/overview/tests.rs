@@ -131,15 +131,13 @@ fn a_sensor_that_is_told_to_be_faulty_makes_a_warning_until_it_is_back() {
         what: "the sensor is faulty".into(),
         why: "test".into(),
     };
-    store.handle(Input::Event(event(
-        spandrel_bus::EventKind::ChannelExcluded,
-    )));
+    store.handle(Input::Event(event(EventKind::ChannelExcluded)));
     let warned = overview(&store);
     assert_eq!(
         (warned.level, warned.sensors.troubled),
         (Level::Warning, vec!["floor-3".to_owned()])
     );
-    store.handle(Input::Event(event(spandrel_bus::EventKind::ChannelBack)));
+    store.handle(Input::Event(event(EventKind::ChannelBack)));
     assert_eq!(overview(&store).level, Level::Normal);
 }
 
@@ -562,4 +560,37 @@ fn contradicted_fit_warns_also_where_no_rule_watches() {
     );
     store.handle(fit(FitVerdict::Doubtful, &[FitReason::ExcessNoise]));
     assert_eq!(overview(&store).level, Level::Learning);
+}
+
+#[test]
+fn softening_in_motion_is_a_notice_and_the_last_report_of_an_earthquake_is_shown_for_two_days() {
+    let mut store = demo();
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
+    let soft = alert("storey-2", 1, AlertState::SofteningInMotion);
+    store.handle(Input::Alert(soft));
+    let found = overview(&store);
+    assert_eq!((found.level, found.raised), (Level::Notice, 0));
+    assert_eq!(found.sentence, "storey-2 is softening-in-motion");
+    let reported = |at_s: i64, report: &str, what: &str| {
+        Input::Event(Event {
+            structure: name("demo"),
+            time_ns: at_s * 1_000_000_000,
+            kind: EventKind::EarthquakeReport,
+            subject: report.to_owned(),
+            what: what.to_owned(),
+            why: format!("It shook. Look. /events/demo/{report}.html"),
+        })
+    };
+    assert_eq!(overview(&store).earthquake, None);
+    store.handle(reported(1, "first", "earthquake report: inspect"));
+    store.handle(reported(1, "second", "earthquake report: inspect first"));
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!((shown.report.as_str(), shown.time_s), ("second", 1.0));
+    assert_eq!(
+        (shown.urgency.as_str(), shown.result.as_str()),
+        ("inspect first", "It shook. Look.")
+    );
+    let after_ns = (2 * 86_400 + 2) * 1_000_000_000;
+    hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
+    assert_eq!(overview(&store).earthquake, None);
 }

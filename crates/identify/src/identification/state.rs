@@ -2,6 +2,7 @@
 
 use super::hearing::Hearing;
 use super::reliability::ReliabilityState;
+use super::motion::{Motion, MotionState};
 use super::{Identification, Stream};
 use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
@@ -29,6 +30,7 @@ pub struct IdentificationState {
     sensors: SensorCheckState,
     settling: u64,
     reliability: ReliabilityState,
+    motion: Option<MotionState>,
 }
 
 impl IdentificationState {
@@ -58,6 +60,7 @@ impl Identification {
             sensors: self.check.state().clone(),
             settling: self.settling,
             reliability: self.reliability.state().clone(),
+            motion: self.motion.as_ref().map(Motion::state),
         }
     }
 
@@ -122,6 +125,9 @@ impl Identification {
         self.last_values = state.last_values;
         self.since_clipped = state.since_clipped;
         self.settling = state.settling;
+        if let Some((motion, state)) = self.motion.as_mut().zip(state.motion) {
+            motion.restore(state);
+        }
         Ok(())
     }
 

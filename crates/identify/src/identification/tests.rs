@@ -790,3 +790,46 @@ fn sensor_check_restarts_after_a_gap_too_long_to_bridge() {
     );
     assert_eq!(core.sensor_check().state(), new.state());
 }
+
+/// Between 15 and 17 s, all motion is forty times as large.
+#[test]
+fn flags_state_strong_motion_also_after_a_restart_within_it() {
+    let with_shock = |limit: &str| {
+        let (structure, mut block) = of_text(|text| format!("{text}\n{limit}"), 6000);
+        let shock = 1500 * 6..1700 * 6;
+        block.values[shock]
+            .iter_mut()
+            .for_each(|value| *value *= 40.0);
+        (structure, block)
+    };
+    let peaks = |outputs: &[Output]| -> Vec<Option<f32>> {
+        let all = estimates(outputs).into_iter();
+        all.map(|estimate| estimate.flags.strong_motion).collect()
+    };
+    let (structure, block) = with_shock("");
+    let without = identified(&structure, block);
+    assert!(peaks(&without).iter().all(Option::is_none));
+
+    let (structure, block) = with_shock("[earthquakes]\nstrong-m-per-s2 = 5.0\n");
+    let whole = identified(&structure, block.clone());
+    let found = peaks(&whole);
+    let strong: Vec<usize> = (0..6000).filter(|frame| found[*frame].is_some()).collect();
+    let (first, last) = (strong[0], strong[strong.len() - 1]);
+    assert!((1500..1600).contains(&first), "{first}");
+    // The motion ends when nothing has been strong for three windows of 10 s.
+    assert!((4500..4900).contains(&last), "{last}");
+    assert_eq!(strong.len(), last + 1 - first);
+    assert!(found[first] > Some(5.0) && found[last] > found[first]);
+
+    let mut outputs = Vec::new();
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    let mut parts = cut(block, &[1650])
+        .into_iter()
+        .map(IdentificationInput::Frames);
+    core.handle(parts.next().unwrap(), &mut outputs);
+    let bytes = postcard::to_stdvec(&core.state()).unwrap();
+    let mut core = Identification::new(&structure, "identify").unwrap();
+    core.restore(postcard::from_bytes(&bytes).unwrap()).unwrap();
+    core.handle(parts.next().unwrap(), &mut outputs);
+    assert_eq!(peaks(&outputs), found);
+}

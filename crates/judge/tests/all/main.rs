@@ -8,6 +8,7 @@
 )]
 
 mod injected;
+mod lasting;
 mod real_series;
 mod state;
 mod support;

@@ -143,6 +143,52 @@ fn a_frozen_or_missing_thermometer_gives_no_statement_and_no_alarm() {
     }
 }
 
+/// The deck has been cold when its input opens. Without its warming, the frequency seems to fall.
+#[test]
+fn an_open_input_with_slight_noise_is_frozen_and_hides_no_season() {
+    let mut series = epochs(470);
+    let open = series
+        .iter_mut()
+        .filter(|epoch| epoch.time_s >= 300.0 * 86_400.0);
+    for (index, epoch) in open.enumerate() {
+        epoch.conditions[0] = Some(0.01 + 0.01 * (index as f64 * 7.1).sin());
+    }
+    let (state, judgements) = judge(settings(&["f1"], &["deck"], 290), &series);
+    describe(&state, &judgements);
+    assert_eq!(first_alarm(&judgements), None);
+    let why = Absence::Frozen("deck".to_owned());
+    let late = judgements.iter().filter(|judgement| judgement.day >= 302);
+    for judgement in late {
+        let why = why.clone();
+        assert_eq!(judgement.state, State::NoStatement { why }, "{judgement:?}");
+    }
+}
+
+/// In its second summer, the thermometer is 20 °C too cold from one epoch to the next.
+#[test]
+fn a_thermometer_that_jumps_and_stays_there_is_not_believed() {
+    let mut series = epochs(520);
+    let late = |epoch: &&mut Epoch| epoch.time_s >= 456.0 * 86_400.0;
+    for epoch in series.iter_mut().filter(late) {
+        epoch.conditions[0] = epoch.conditions[0].map(|celsius| celsius - 20.0);
+    }
+    let (state, judgements) = judge(settings(&["f1"], &["deck"], 365), &series);
+    describe(&state, &judgements);
+    assert!(
+        judgements
+            .iter()
+            .all(|judgement| judgement.finding.is_none())
+    );
+    let last = judgements.last().unwrap();
+    let why = Absence::Jumped("deck".to_owned());
+    assert_eq!(last.state, State::NoStatement { why });
+    assert_eq!(
+        last.sentence(),
+        "f1 is not judged, because deck has jumped from one epoch to the next and has not gone back. \
+         Check the thermometer."
+    );
+}
+
 #[test]
 fn the_units_of_a_temperature_give_the_same_judgements() {
     let series = epochs(130);

@@ -388,7 +388,10 @@ fn send(outbox: &mut Outbox, moment: Moment) -> Vec<String> {
                 let lines: Vec<String> = summary.lines.iter().map(short).collect();
                 sent.push(format!("{}: {}", summary.cause, lines.join("; ")));
             }
-            Report::Alert(_) | Report::Monitoring(_) | Report::Judgement(_) => {
+            Report::Alert(_)
+            | Report::Monitoring(_)
+            | Report::Judgement(_)
+            | Report::Earthquake(_) => {
                 sent.push(state.to_owned());
             }
         }

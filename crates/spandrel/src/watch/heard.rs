@@ -234,6 +234,7 @@ fn is_open(state: AlertState) -> bool {
         | AlertState::Unconfirmed
         | AlertState::Acknowledged
         | AlertState::Cleared
+        | AlertState::SofteningInMotion
         | AlertState::Undecided => true,
         AlertState::Learning | AlertState::Normal => false,
     }

@@ -212,6 +212,7 @@ impl View {
             AlertState::Acknowledged
             | AlertState::Learning
             | AlertState::Normal
+            | AlertState::SofteningInMotion
             | AlertState::Undecided => {
                 let state = alert.state.as_str();
                 self.notify(format!(

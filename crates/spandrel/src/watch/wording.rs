@@ -12,7 +12,7 @@ pub fn state_style(state: AlertState) -> Style {
     match state {
         AlertState::Learning => Style::new().fg(Color::Cyan),
         AlertState::Normal => Style::new().fg(Color::Green),
-        AlertState::Pending => Style::new().fg(Color::Yellow),
+        AlertState::Pending | AlertState::SofteningInMotion => Style::new().fg(Color::Yellow),
         AlertState::Raised | AlertState::Unconfirmed => {
             Style::new().fg(Color::Red).add_modifier(Modifier::BOLD)
         }
@@ -31,6 +31,7 @@ pub fn state_counts<'a>(
         AlertState::Raised,
         AlertState::Unconfirmed,
         AlertState::Pending,
+        AlertState::SofteningInMotion,
         AlertState::Acknowledged,
         AlertState::Cleared,
         AlertState::Undecided,

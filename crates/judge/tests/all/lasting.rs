@@ -1,0 +1,85 @@
+//! What remains of a loss: an alarm stays, and a gain counts from the commissioning.
+
+use crate::support::{describe, judge, settings};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use spandrel_judge::{Epoch, Finding, Judgement};
+
+const DAY_S: f64 = 86_400.0;
+const COMMISSIONING_DAYS: u32 = 365;
+const PER_DAY: u32 = 4;
+
+/// Returns the sum of twelve uniform numbers, less its mean. Its standard deviation is 1.
+fn noise(random: &mut ChaCha8Rng) -> f64 {
+    let uniform = |_| f64::from(random.next_u32()) / f64::from(u32::MAX);
+    (0..12).map(uniform).sum::<f64>() - 6.0
+}
+
+/// Judges a frequency under a deck with seasons, weather and a deviation without a measured cause.
+/// `stiffness` is the share of the sound stiffness on a day.
+fn judged(seed: u64, days: u32, stiffness: impl Fn(f64) -> f64) -> Vec<Judgement> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (mut weather, mut deviation) = (0.0, 0.0);
+    let epoch = |index: u32| {
+        let day = f64::from(index) / f64::from(PER_DAY);
+        weather = 0.95 * weather + 1.2 * noise(&mut random);
+        deviation = 0.98 * deviation + 0.0004 * noise(&mut random);
+        let season = 12.0 - 10.0 * (day * std::f64::consts::TAU / 365.25).cos();
+        let deck = season + weather;
+        let sound = 4.0 * (-0.0012 * deck + deviation + 0.0015 * noise(&mut random)).exp();
+        Epoch {
+            time_s: day * DAY_S,
+            quantities: vec![Some(sound * stiffness(day).sqrt())],
+            conditions: vec![Some(deck)],
+        }
+    };
+    let epochs: Vec<Epoch> = (0..PER_DAY * days).map(epoch).collect();
+    let (state, judgements) = judge(settings(&["f1"], &["deck"], COMMISSIONING_DAYS), &epochs);
+    println!("seed {seed}");
+    describe(&state, &judgements);
+    judgements
+}
+
+fn is_stiffer(judgement: &&Judgement) -> bool {
+    matches!(judgement.finding, Some(Finding::Stiffer(_)))
+}
+
+#[test]
+fn an_alarm_stays_when_most_of_the_loss_comes_back() {
+    for seed in 1..=4 {
+        let judgements = judged(seed, 800, |day| match day {
+            ..430.0 => 1.0,
+            ..450.0 => 0.97,
+            _ => 0.997,
+        });
+        let has_alarm = |judgement: &Judgement| judgement.finding.is_some_and(|f| f.is_alarm());
+        let first = judgements.iter().position(has_alarm).expect("an alarm");
+        let lost = judgements[first..].iter().find(|one| !has_alarm(one));
+        assert!(lost.is_none(), "seed {seed}: {lost:?}");
+    }
+}
+
+/// A slow loss is learnt. It is partly repaired, and the bridge remains softer than it was.
+#[test]
+fn a_learnt_loss_that_partly_comes_back_is_no_gain() {
+    for seed in 1..=4 {
+        let judgements = judged(seed, 1000, |day| match day {
+            ..660.0 => 1.0 - 0.05 * ((day - 400.0) / 200.0).clamp(0.0, 1.0),
+            _ => 0.98,
+        });
+        let stiffer = judgements.iter().find(is_stiffer);
+        assert!(stiffer.is_none(), "seed {seed}: {stiffer:?}");
+    }
+}
+
+#[test]
+fn a_gain_beyond_the_commissioning_is_told() {
+    for seed in 1..=4 {
+        let judgements = judged(seed, 560, |day| if day < 430.0 { 1.0 } else { 1.04 });
+        let stiffer = judgements.iter().find(is_stiffer).expect("a gain");
+        assert!(
+            (430..500).contains(&stiffer.day),
+            "seed {seed}: {stiffer:?}"
+        );
+    }
+}
