@@ -101,7 +101,7 @@ function updateAlert(parts, alert) {
   parts.now.hidden = !alert.now || isNormal;
   setText(parts.now, alert.now ? t("by-the-newest-value", alert.now) : "");
   setText(parts.when, time(alert.time_ns / 1e9));
-  setText(parts.seen, alert.acknowledged_by ? t("seen-by", alert.acknowledged_by, alert.note ? `: ${alert.note}` : "") : "");
+  setText(parts.seen, alert.acknowledged_by ? t("alert-seen-by", alert.acknowledged_by, alert.note ? `: ${alert.note}` : "") : "");
   parts.seen.hidden = !alert.acknowledged_by;
   parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
   parts.link.parentElement.hidden = ["normal", "learning", "undecided"].includes(alert.state);
@@ -140,7 +140,7 @@ export class AcknowledgeDialog {
 
   open(alert) {
     this.alert = alert;
-    setText(this.title, t("acknowledge-2", alert.structure, alert.parameter));
+    setText(this.title, t("acknowledge-part-of", alert.structure, alert.parameter));
     setSentence(this.why, alert.why);
     setText(this.told, t("others-will-see-that-the-alert-is"));
     this.who.value = localStorage.getItem(NAME_KEY) ?? "";

@@ -37,7 +37,7 @@ function route() {
 
 function notThere() {
   connection.listen(null);
-  return { element: h("p", { class: "empty" }, t("page-not-found"), h("a", { href: "#/" }, t("all-structures-2"))) };
+  return { element: h("p", { class: "empty" }, t("page-not-found"), h("a", { href: "#/" }, t("link-all-structures"))) };
 }
 
 function mark(id, isHere) {
@@ -73,7 +73,7 @@ function showAlerts({ structures }) {
   document.title = raised > 0 && !page?.title ? `▲ ${raised} – ${title}` : title;
   if (raisedBefore !== null && raised > raisedBefore) {
     const first = structures.find((structure) => structure.raised > 0);
-    setText(document.getElementById("announce"), t("alarm", first.name, first.sentence));
+    setText(document.getElementById("announce"), t("announce-alarm", first.name, first.sentence));
   }
   raisedBefore = raised;
 }

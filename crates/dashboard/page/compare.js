@@ -232,7 +232,7 @@ export class CompareTab {
     const read = (field) => (isRecord ? Number(field.value) : timeOfField(field.value));
     const ranges = this.fields.map(({ from, to }) => ({ from_s: read(from), to_s: read(to) }));
     const wrong = ranges.findIndex(({ from_s, to_s }) => !(to_s > from_s));
-    if (wrong >= 0) return setText(this.told, t("the-end-must-be-after-the-start", NAMES[wrong]));
+    if (wrong >= 0) return setText(this.told, t("range-end-after-start", NAMES[wrong]));
     this.#choose(ranges);
   }
 
@@ -248,7 +248,7 @@ export class CompareTab {
   }
 
   #show() {
-    const words = ({ from_s, to_s }, index) => t("to-2", NAMES[index], time(from_s), time(to_s), duration(to_s - from_s));
+    const words = ({ from_s, to_s }, index) => t("range-words", NAMES[index], time(from_s), time(to_s), duration(to_s - from_s));
     setSentence(this.lengths, this.points.ranges.map(words).join(" "));
     const results = this.quantities.map((quantity) => {
       const [first, second] = this.points.columns(quantity.series).map((columns) => meanOf(columns, quantity.areIndependent));

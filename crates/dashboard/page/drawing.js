@@ -86,7 +86,7 @@ export class Drawing {
       found.set(part.name, { worst, told });
       for (const element of [part.element, part.words]) setAttribute(element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "known";
-      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? t("probability-of-loss", names, told) : names}`);
+      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? t("part-probability-of-loss", names, told) : names}`);
       if (part.label) {
         const isFound = worst !== null && worst >= 0.5;
         setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, told) : "");
@@ -335,7 +335,7 @@ function key({ drawing: { sensors }, has_model: hasModel }, note) {
   return h(
     "figcaption",
     { class: "drawing-key" },
-    hasModel ? [h("span", {}, t("probability-of-loss-2")), h("ul", {}, steps)] : null,
+    hasModel ? [h("span", {}, t("key-probability-of-loss")), h("ul", {}, steps)] : null,
     h("span", {}, t("sensors-delivers-gone-or-silent-faulty-excluded")),
     h("span", {}, note, apart.length > 0 ? t("not-drawn", apart.join(", ")) : null),
   );

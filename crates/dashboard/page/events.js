@@ -23,7 +23,7 @@ export class EventsTab {
   update({ events, changes }) {
     const ofAlert = (change) => {
       const { sign, word, level } = STATES[change.state];
-      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert", sign, word), why: change.why, level, parameter: change.parameter };
+      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert-became", sign, word), why: change.why, level, parameter: change.parameter };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => ({ key: `${subject}/${what}`, time_ns, about: subject, what, why, level: "learning", parameter: null, report: kind === "earthquake-report" ? subject : null });
     const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);

@@ -153,7 +153,7 @@ const EFFECTS = { seen: t("lasting-change-seen"), "new-reference": t("new-refere
 
 /** Returns the line of an annotation. */
 function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
-  const end = to === null ? "" : t("to-3", dateOf(to / 1e9));
+  const end = to === null ? "" : t("to-date", dateOf(to / 1e9));
   const what = EFFECTS[effect] ? `${kind}, ${EFFECTS[effect]}` : kind;
   return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what), ` ${text} (${who})`);
 }

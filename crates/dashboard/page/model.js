@@ -53,7 +53,7 @@ export class ModelTab {
     this.fit.hidden = !fit;
     if (!fit) return;
     this.fit.dataset.level = FITS[fit.verdict].level;
-    setText(this.verdict, t("fit", FITS[fit.verdict].sign, wordOf(fit.verdict)));
+    setText(this.verdict, t("fit-verdict", FITS[fit.verdict].sign, wordOf(fit.verdict)));
     setSentence(this.reasons, `${fit.words}.`);
   }
 }

@@ -53,7 +53,7 @@ export class OverviewPage {
 function summary(structures) {
   if (structures.length === 0) return t("no-structure-is-watched");
   const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
-  const of = structures.length === 1 ? t("1-structure") : t("structures-2", structures.length);
+  const of = structures.length === 1 ? t("1-structure") : t("many-structures", structures.length);
   const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
   if (urgent.length === 0 && seen.length > 0) return t("watched-nothing-new-acknowledged", LEVELS.notice.sign, of, seen.join(", "));
   if (urgent.length === 0) return t("watched-nothing-needs-attention", of);
@@ -94,10 +94,10 @@ function makeCard(structure) {
       "dl",
       { class: "facts" },
       fact("worst", t("worst-part")),
-      fact("probability", t("probability-of-loss-3")),
+      fact("probability", t("probability-of-loss")),
       fact("sensors", t("sensors-alive")),
       fact("monitoring", t("monitoring")),
-      fact("fit", t("fit-2")),
+      fact("fit", t("fit")),
       fact("lag", t("lag")),
       fact("age", t("data")),
       fact("alert", t("last-alert")),
@@ -121,11 +121,11 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? t("not", sensors.troubled.join(", ")) : "";
   setText(fields.sensors, t("share", sensors.alive, sensors.total) + troubled);
-  setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("natural-frequencies-2"));
+  setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
   setText(fields.fit, structure.has_model ? fitWord(structure.fit) : t("no-model"));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
-  setSentence(fields.age, structure.replayed ? t("measured", age(structure), time(structure.time_s)) : age(structure));
+  setSentence(fields.age, structure.replayed ? t("age-measured", age(structure), time(structure.time_s)) : age(structure));
   const at = last && structure.time_s ? t("before-the-newest-data", duration(structure.time_s - last.time_s)) : "";
   setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : t("none"));
 }
@@ -142,13 +142,13 @@ export function showNow(line, now, age_s) {
 /** Shows beside any other level that somebody has acknowledged an active alert. */
 export function showAcknowledged(badge, { acknowledged, level }) {
   badge.hidden = !acknowledged || level === "notice";
-  if (!badge.hidden) setText(badge, t("acknowledged", LEVELS.notice.sign, acknowledged === 1 ? t("alert-2") : t("alerts-2", acknowledged)));
+  if (!badge.hidden) setText(badge, t("alerts-acknowledged", LEVELS.notice.sign, acknowledged === 1 ? t("one-alert") : t("many-alerts", acknowledged)));
 }
 
 /** Shows beside any other level that no new data arrives. */
 export function showStale(badge, { age_s, level }) {
   badge.hidden = level === "stale" || level === "learning" || level === "undecided" || (age_s !== null && age_s < 3);
-  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? t("no-data-yet-2") : t("no-new-data-for", duration(age_s))}`);
+  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? t("badge-no-data-yet") : t("no-new-data-for", duration(age_s))}`);
 }
 
 /** Returns the age of a structure's data in words. */

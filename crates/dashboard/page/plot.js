@@ -158,7 +158,7 @@ export class Plot {
     const isEmpty = !data || data[0].length === 0;
     this.element.classList.toggle("is-empty", isEmpty);
     if (isEmpty) {
-      setText(this.readout, this.#wasFetched ? t("no-data-in-this-span") : t("loading-2"));
+      setText(this.readout, this.#wasFetched ? t("no-data-in-this-span") : t("plot-loading"));
       return;
     }
     if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
@@ -273,7 +273,7 @@ export class Plot {
       axes: [
         across
           ? { ...xAxis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(labelOf(isLogarithmicX)), label: across, labelSize: 18 }
-          : { ...xAxis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("time", zone(u.scales.x.max))), labelSize: 18 },
+          : { ...xAxis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("axis-time", zone(u.scales.x.max))), labelSize: 18 },
         { ...yAxis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? labelOf(isLogarithmicY)(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],

@@ -60,7 +60,7 @@ export class RangeBar {
   #submit(event) {
     event.preventDefault();
     const [from, to] = [timeOfField(this.from.value), timeOfField(this.to.value)];
-    if (!(to > from)) return setText(this.told, t("the-end-must-be-after-the-start-2"));
+    if (!(to > from)) return setText(this.told, t("end-after-start"));
     setText(this.told, "");
     this.span.fix(from, to);
   }

@@ -51,7 +51,7 @@ export class ReportPage {
 
   /** The title of the window, which is the default name of a saved file. */
   get title() {
-    return t("report-2", this.wanted.join(", ")).trim();
+    return t("report-title", this.wanted.join(", ")).trim();
   }
 
   close() {
@@ -115,7 +115,7 @@ export class ReportPage {
   #submit(event) {
     event.preventDefault();
     const [from_s, to_s] = [this.from, this.to].map(({ value }) => (this.isRecord ? Number(value) : timeOfField(value)));
-    if (!(to_s > from_s)) return setText(this.told, t("the-end-must-be-after-the-start-2"));
+    if (!(to_s > from_s)) return setText(this.told, t("end-after-start"));
     this.#choose(from_s, to_s);
   }
 
@@ -154,7 +154,7 @@ async function fetchPoints({ name, parameters, modes, conditions }, from_s, to_s
 
 /** Returns the changes of alerts and the events, the oldest first. */
 function eventsOf({ events }, changes) {
-  const ofAlert = ({ parameter, state, time_ns, why, acknowledged_by: who, note }) => ({ time_s: time_ns / 1e9, about: parameter, what: `${STATES[state].sign} ${STATES[state].word}`, why: who ? t("seen-by-2", why, who, note ? `: ${note}` : "") : why, level: STATES[state].level, isListed: LISTED.includes(state) });
+  const ofAlert = ({ parameter, state, time_ns, why, acknowledged_by: who, note }) => ({ time_s: time_ns / 1e9, about: parameter, what: `${STATES[state].sign} ${STATES[state].word}`, why: who ? t("change-seen-by", why, who, note ? `: ${note}` : "") : why, level: STATES[state].level, isListed: LISTED.includes(state) });
   const ofEvent = ({ subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, about: subject, what, why, level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
 }
@@ -174,7 +174,7 @@ function sentence(element, text) {
 /** The first page: the period, and one line per structure. */
 function head(reported, { from_s, to_s }, shown) {
   const rows = reported.map(({ overview }) => ({ level: overview.level, cells: [overview.name, `${LEVELS[overview.level].sign} ${LEVELS[overview.level].word}`, { name: "", text: overview.sentence }] }));
-  const period = t("to-5", time(from_s), time(to_s), duration(to_s - from_s));
+  const period = t("report-period", time(from_s), time(to_s), duration(to_s - from_s));
   const made = t("made-by-spandrel-on-the-states-are", time(Date.now() / 1000));
   const stored = shown.from_s > from_s + 1 ? t("data-are-stored-from-on", time(shown.from_s)) : "";
   const all = rows.length > 1 ? table([t("structure"), t("state"), t("reason")], rows, { label: t("structures"), className: "is-states" }) : null;
@@ -191,7 +191,7 @@ function section({ about, overview, standing, changes }, series, period, shown) 
   const level = LEVELS[overview.level];
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
   const { sensors } = overview;
-  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-2", time(overview.time_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("monitoring-2", wordOf(overview.monitoring ?? "unknown")), t("fit-3", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
+  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
   const none = (text) => h("p", { class: "group-text" }, text);
   const events = (list, text) => (list.length === 0 ? none(text) : table(COLUMNS.events.slice(0, 3), list.map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
@@ -234,7 +234,7 @@ function parameterTable(about, overview, standing, changes, series, period) {
     const [mean, std] = [means[row], stds[row]];
     const chance = series.get(`loss/${parameter.name}`)?.[4]?.at(-1);
     const loss = standing.losses[parameter.name];
-    const asked = loss && parameter.stiffness && chance != null ? t("for-more-than-2", probability(chance, loss.rule_credibility), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
+    const asked = loss && parameter.stiffness && chance != null ? t("probability-for-more-than", probability(chance, loss.rule_credibility), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
     const texts = row < 0 ? [t("no-estimate"), "–"] : [`${ratio(mean)} ± ${ratio(std)}`, t("range", ratio(mean - HALF_95 * std), ratio(mean + HALF_95 * std))];
     return { level, cells: [parameter.name, words, ...texts, asked] };
   });
@@ -256,7 +256,7 @@ function parameterCharts({ parameters }, standing, changes, series, shown) {
     const marks = changes.filter(({ parameter: of, state }) => of === parameter.name && LISTED.includes(state)).map(({ state, time_ns }) => ({ x: time_ns / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
     return figure(parameter.name, lastOf(columns), own && { columns, ...shown, range: parameter.stiffness ? shared : own, marks, bound, label: t("over-the-period", parameter.name) });
   });
-  return h("div", {}, h("p", { class: "group-text" }, t("ratio-to-the-design-1-is-as-2")), h("div", { class: "charts" }, figures));
+  return h("div", {}, h("p", { class: "group-text" }, t("report-ratio-to-the-design")), h("div", { class: "charts" }, figures));
 }
 
 /** Draws series with a value now and then. */

@@ -16,7 +16,7 @@ export class SettingsTab {
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", {}, text))));
     const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", percent(loss)), String(credibility), `${number(sustain_s)} s`]));
     const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
-    const range = ({ name, unit: of, range }) => (range ? t("to-6", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
+    const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
     this.element = h(
       "div",
       {},
@@ -49,7 +49,7 @@ export class SettingsTab {
     };
     keyed(this.services, services, (service) => `${service.service}/${service.id}`, make, ({ cells }, { service, id, present, lag_s, status }) => {
       const drops = Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`);
-      const texts = [service === id ? service : `${service} ${id}`, present ? t("alive") : t("gone"), lag(lag_s), status ? String(status.done) : "–", drops.join(", ") || t("nothing")];
+      const texts = [service === id ? service : `${service} ${id}`, present ? t("service-alive") : t("service-gone"), lag(lag_s), status ? String(status.done) : "–", drops.join(", ") || t("nothing")];
       texts.forEach((text, column) => setText(cells[column], text));
     });
   }

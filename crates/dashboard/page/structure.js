@@ -85,7 +85,7 @@ export class StructurePage {
       const answer = await response.json();
       if (!response.ok) {
         this.connection.listen(null);
-        this.body.replaceChildren(h("p", { class: "empty" }, `${answer.error}; ${answer.allowed}. `, h("a", { href: "#/" }, t("all-structures-2"))));
+        this.body.replaceChildren(h("p", { class: "empty" }, `${answer.error}; ${answer.allowed}. `, h("a", { href: "#/" }, t("link-all-structures"))));
         return;
       }
       if (!this.#isOpen) return;
@@ -173,13 +173,13 @@ export class StructurePage {
     showNow(parts.now, overview.now, overview.age_s);
     showAcknowledged(parts.seen, overview);
     showStale(parts.stale, overview);
-    const facts = [t("data-2", age(overview), overview.time_s ? t("measured-2", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-2", lag(overview.lag_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("monitoring-3", wordOf(overview.monitoring ?? "unknown")), t("fit-4", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
+    const facts = [t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
     keyed(parts.facts, facts, (text) => facts.indexOf(text), () => ({ element: h("span") }), ({ element }, text) => setSentence(element, text));
     keyed(
       parts.actions,
       raised,
       (alert) => alert.parameter,
-      (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, t("acknowledge-3", alert.parameter)) }),
+      (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, t("acknowledge-part", alert.parameter)) }),
       () => {},
     );
     this.tabs?.[0].attend(overview);

@@ -9,13 +9,13 @@ export * from "./time.js";
 
 /** Names and signs of the levels of attention. Sign and word distinguish them without colour. */
 export const LEVELS = {
-  alarm: { sign: "▲", word: t("alarm-2") },
-  stale: { sign: "✕", word: t("no-data-2") },
+  alarm: { sign: "▲", word: t("level-alarm") },
+  stale: { sign: "✕", word: t("level-stale") },
   warning: { sign: "◆", word: t("warning") },
   notice: { sign: "●", word: t("seen") },
-  undecided: { sign: "?", word: t("undecided") },
-  learning: { sign: "…", word: t("learning") },
-  normal: { sign: "✓", word: t("normal") },
+  undecided: { sign: "?", word: t("level-undecided") },
+  learning: { sign: "…", word: t("level-learning") },
+  normal: { sign: "✓", word: t("level-normal") },
 };
 
 /** Names of the tabs of a structure, and the texts above their contents. */
@@ -23,11 +23,11 @@ export const TABS = { now: t("now"), parameters: t("parameters"), compare: t("co
 
 /** Titles of the columns of the tables. */
 export const COLUMNS = {
-  parts: [t("part"), t("state"), t("estimate"), t("95-per-cent-interval"), t("probability-of-loss-3")],
+  parts: [t("part"), t("state"), t("estimate"), t("95-per-cent-interval"), t("probability-of-loss")],
   sensors: [t("sensor"), t("quantity"), t("node"), t("state"), t("last-sample-used"), t("compared-with-the-others"), t("probability-of-a-fault"), t("sampling-instant"), t("clock"), t("rejected")],
   differences: [t("quantity"), t("first-mean"), t("second-mean"), t("difference"), t("95-per-cent-interval"), t("result")],
   levels: [t("sensor"), t("state"), t("samples-per-second"), t("mean"), t("rms"), t("peak"), t("last-sample")],
-  events: [t("time-2"), t("about"), t("what-happened"), ""],
+  events: [t("time"), t("about"), t("what-happened"), ""],
   services: [t("service"), t("state"), t("lag"), t("items-processed"), t("dropped-or-corrected")],
   delays: [t("loss-of-stiffness"), t("found-after-median"), t("found-within-30-days")],
   rules: [t("parameters"), t("loss"), t("probability-required"), t("duration-required")],
@@ -62,11 +62,11 @@ export const STATES = {
   raised: { sign: "▲", word: t("raised"), level: "alarm" },
   unconfirmed: { sign: "△", word: t("unconfirmed"), level: "alarm" },
   pending: { sign: "◆", word: t("pending"), level: "warning" },
-  acknowledged: { sign: "●", word: t("acknowledged-2"), level: "notice" },
+  acknowledged: { sign: "●", word: t("state-acknowledged"), level: "notice" },
   cleared: { sign: "○", word: t("cleared"), level: "notice" },
-  undecided: { sign: "?", word: t("undecided-2"), level: "learning" },
-  learning: { sign: "…", word: t("learning-2"), level: "learning" },
-  normal: { sign: "✓", word: t("normal-2"), level: "normal" },
+  undecided: { sign: "?", word: t("state-undecided"), level: "learning" },
+  learning: { sign: "…", word: t("state-learning"), level: "learning" },
+  normal: { sign: "✓", word: t("state-normal"), level: "normal" },
 };
 
 /** Signs and levels of the verdicts on the fit. */
@@ -79,7 +79,7 @@ export const FITS = {
 /** Names, signs and levels of the health of sensors. */
 export const HEALTH = {
   alive: { sign: "●", word: t("delivers"), level: "normal" },
-  gone: { sign: "✕", word: t("gone-2"), level: "warning" },
+  gone: { sign: "✕", word: t("state-gone"), level: "warning" },
   silent: { sign: "✕", word: t("silent"), level: "warning" },
   "wrong-clock": { sign: "✕", word: t("wrong-clock-not-used"), level: "warning" },
   "in-doubt": { sign: "▲", word: t("in-doubt"), level: "warning" },
@@ -91,7 +91,7 @@ export const HEALTH = {
 
 /** Names, signs and levels of the states of distributed nodes. */
 export const NODES = {
-  used: { sign: "●", word: t("alive-2"), level: "normal" },
+  used: { sign: "●", word: t("node-alive"), level: "normal" },
   silent: { sign: "○", word: t("silent"), level: "warning" },
   excluded: { sign: "◆", word: t("excluded-disagrees-with-the-others"), level: "warning" },
   ended: { sign: "■", word: t("ended"), level: "learning" },
@@ -265,7 +265,7 @@ export function judgementWords({ word: judged, sentence, change, seen, epoch_ns:
   const level = seen ? "notice" : (JUDGEMENTS[judged] ?? "learning");
   const parts = [`${LEVELS[level].sign} ${wordOf(judged)}: ${sentence}`];
   if (change) parts.push(t("found-on", new Date(change.found_ns / 1e6).toISOString().slice(0, 10)));
-  if (seen) parts.push(t("seen-by-3", seen.who, seen.text));
+  if (seen) parts.push(t("judgement-seen-by", seen.who, seen.text));
   parts.push(epoch === null ? t("no-epoch-yet") : t("last-epoch", time(epoch / 1e9)));
   if (!measured) parts.push(t("contains-replayed-or-simulated-samples"));
   return { level, text: parts.join(" ") };

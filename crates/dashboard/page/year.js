@@ -23,7 +23,7 @@ const MOST_THRESHOLDS = 2.5;
 /** How the days are drawn. Shapes distinguish them without colour. */
 const KINDS = {
   learning: { name: t("measured-in-the-commissioning"), shape: "circle", colour: "--line-7", size: 1.7 },
-  judged: { name: t("measured-3"), shape: "circle", colour: "--line-2" },
+  judged: { name: t("measured"), shape: "circle", colour: "--line-2" },
   outside: { name: t("outside-experience"), shape: "circle", isHollow: true, colour: "--line-2" },
   changed: { name: t("since-the-change"), shape: "diamond", colour: "--alarm" },
 };
@@ -92,13 +92,13 @@ function words(row) {
   const { expectation } = row;
   if (!expectation) return t("measured-no-reference-yet", number(row.measured));
   const { expected, interval } = expectation;
-  const kind = row.kind === "outside" ? t("outside-experience-2") : row.kind === "changed" ? t("since-the-change-2") : "";
+  const kind = row.kind === "outside" ? t("and-outside-experience") : row.kind === "changed" ? t("and-since-the-change") : "";
   return t("measured-expected", number(row.measured), number(expected), number(interval.low), number(interval.high), kind);
 }
 
 /** Returns the marks of what people have noted. */
 function noted(course) {
-  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? t("new-reference-2") : `✎ ${kind}`}`, colour: "--notice" });
+  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? t("mark-new-reference") : `✎ ${kind}`}`, colour: "--notice" });
   return (course?.annotations ?? []).map(mark);
 }
 
@@ -153,7 +153,7 @@ export function residualPlot(points, span) {
     range: (_, least, largest) => [Math.min(-3, 1.08 * (least ?? 0)), Math.max(3, 1.08 * (largest ?? 0))],
     paint: (u) => paint(u, Object.values(KINDS), 1),
     marks: () => [...begun(points.course), { y: 0, text: "" }, { y: HALF_95, text: "" }, { y: -HALF_95, text: t("95-per-cent-of-sound-days") }],
-    readout: (row) => (row?.expectation ? t("standard-deviations-2", row.expectation.residual.toFixed(2)) : words(row)),
+    readout: (row) => (row?.expectation ? t("residual", row.expectation.residual.toFixed(2)) : words(row)),
   });
   return new Plot(plot, points, span);
 }
