@@ -82,7 +82,9 @@ export class ReportPage {
       this.sheet.dataset.state = "complete";
       return this.sheet.replaceChildren(h("p", { class: "empty" }, t("no-data-yet-there-is-nothing-to")));
     }
-    const { from_s, to_s } = this.period?.length_s ? { from_s: this.newest_s - this.period.length_s, to_s: this.newest_s } : (this.period ?? { from_s: this.newest_s - USUAL_S, to_s: this.newest_s });
+    // A record without dates starts at 0.
+    const start = (length_s) => (isWithoutDate(this.newest_s) ? Math.max(0, this.newest_s - length_s) : this.newest_s - length_s);
+    const { from_s, to_s } = this.period && !this.period.length_s ? this.period : { from_s: start(this.period?.length_s ?? USUAL_S), to_s: this.newest_s };
     this.#fillForm(names, reported, from_s, to_s);
     const series = await Promise.all(reported.map(({ about }) => pointsOf(about, from_s, to_s)));
     if (!this.#isOpen) return;
