@@ -65,6 +65,9 @@ impl Browser {
             "--disable-gpu",
             "--hide-scrollbars",
             "--remote-debugging-port=0",
+            // The language of the page is that of the browser.
+            "--lang=en-US",
+            "--accept-lang=en-US",
         ]);
         command
             .arg(format!("--user-data-dir={}", profile.path().display()))

@@ -2,6 +2,8 @@
 
 /** Decimals of a time in the address (ms). */
 const DECIMALS = 3;
+/** Time shown on each side of a moment that a link leads to (s). */
+export const AROUND_S = 60;
 
 /** Returns the address of a structure's page, optionally with a parameter and a moment. */
 export function place(structure, parameter, seconds) {
@@ -16,8 +18,15 @@ export function judged(structure, quantity) {
   return address(structure, "lasting", new URLSearchParams({ quantity }));
 }
 
+/** Returns the address of the report of some structures over a period. */
+export function reportOf(structures, from_s, to_s) {
+  const query = new URLSearchParams({ structures: structures.join(","), from: from_s.toFixed(DECIMALS), to: to_s.toFixed(DECIMALS) });
+  return `#/report?${query}`;
+}
+
 /** Returns the address of what a structure's page shows now. */
-export function addressOf({ structure, tab, parameter, span, isOwnScale }) {
+/** `more` contains what only this tab states. */
+export function addressOf({ structure, tab, parameter, span, isOwnScale, more }) {
   const query = new URLSearchParams();
   if (parameter && tab === "lasting") query.set("quantity", parameter);
   if (parameter && tab === "parameters") query.set("parameter", parameter);
@@ -28,6 +37,7 @@ export function addressOf({ structure, tab, parameter, span, isOwnScale }) {
     query.set("span", span.length_s);
   }
   if (isOwnScale) query.set("scale", "own");
+  for (const [name, value] of Object.entries(more ?? {})) query.set(name, value);
   return address(structure, tab === "now" ? null : tab, query);
 }
 

@@ -1,7 +1,8 @@
 // Alerts of all structures: current alerts, past changes and acknowledgements.
 
 import { h, keyed, setText } from "./dom.js";
-import { STATES, canBeSeen, levelOf, natural, place, setSentence, time } from "./words.js";
+import { t } from "./language.js";
+import { SERVICES, STATES, canBeSeen, levelOf, natural, place, setSentence, time } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement. */
 const NAME_KEY = "spandrel-name";
@@ -13,23 +14,23 @@ const ASK_EVERY_MS = 2000;
 export class AlertsPage {
   constructor(connection, parameters) {
     this.dialog = new AcknowledgeDialog(() => this.#ask());
-    this.structure = h("select", { id: "filter-structure", onchange: () => this.#show() }, h("option", { value: "" }, "all structures"));
-    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, "all states"), ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, state)));
-    this.text = h("input", { id: "filter-text", type: "search", placeholder: "part or words", oninput: () => this.#show() });
+    this.structure = h("select", { id: "filter-structure", onchange: () => this.#show() }, h("option", { value: "" }, t("all-structures")));
+    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, t("all-states")), ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, STATES[state].word)));
+    this.text = h("input", { id: "filter-text", type: "search", placeholder: t("part-or-words"), oninput: () => this.#show() });
     const field = (input, text) => h("label", { for: input.id }, text, " ", input);
     this.standing = h("ul", { class: "alerts" });
     this.changes = h("ul", { class: "alerts past" });
-    this.none = h("p", { class: "empty" }, "Loading …");
+    this.none = h("p", { class: "empty" }, t("loading"));
     this.noChanges = h("p", { class: "empty" });
     this.element = h(
       "div",
       { class: "alerts-page" },
-      h("h1", {}, "Alerts"),
-      h("form", { class: "filter", onsubmit: (event) => event.preventDefault() }, field(this.structure, "Structure"), field(this.state, "State"), field(this.text, "Contains")),
-      h("h2", {}, "Now"),
+      h("h1", {}, t("alerts")),
+      h("form", { class: "filter", onsubmit: (event) => event.preventDefault() }, field(this.structure, t("structure")), field(this.state, t("state")), field(this.text, t("contains"))),
+      h("h2", {}, t("now")),
       this.none,
       this.standing,
-      h("h2", {}, "Changes since the dashboard was started"),
+      h("h2", {}, t("changes-since-the-dashboard-was-started")),
       this.noChanges,
       this.changes,
       this.dialog.element,
@@ -74,14 +75,14 @@ export class AlertsPage {
     keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
     this.none.hidden = standing.length > 0;
     const isFiltered = this.structure.value || this.state.value || this.text.value;
-    setText(this.none, isFiltered ? "No alert matches the filter." : "No rule has reached a decision yet.");
+    setText(this.none, isFiltered ? t("no-alert-matches-the-filter") : t("no-rule-has-reached-a-decision-yet"));
     this.noChanges.hidden = changes.length > 0;
-    setText(this.noChanges, isFiltered ? "No change matches the filter." : "No changes.");
+    setText(this.noChanges, isFiltered ? t("no-change-matches-the-filter") : t("no-changes"));
   }
 
   #make(canAcknowledge) {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence" }), now: h("p", { class: "now" }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, "Show the moment") };
-    parts.button = canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, "Acknowledge") : null;
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")) };
+    parts.button = canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, t("acknowledge")) : null;
     parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
   }
@@ -92,15 +93,15 @@ function updateAlert(parts, alert) {
   parts.alert = alert;
   parts.element.dataset.level = levelOf(alert);
   parts.element.dataset.state = alert.state;
-  setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? " (stale: the alert service is gone)" : ""}`);
+  setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? t("stale-the-alert-service-is-gone") : ""}`);
   setText(parts.who, `${alert.structure} / ${alert.parameter}`);
   // The sentence of a normal parameter is as old as its first decision.
   const isNormal = alert.state === "normal" && alert.now;
   setSentence(parts.why, isNormal ? `${alert.parameter} is normal by the newest value: ${alert.now}` : alert.why);
   parts.now.hidden = !alert.now || isNormal;
-  setText(parts.now, alert.now ? `By the newest value: ${alert.now}` : "");
+  setText(parts.now, alert.now ? t("by-the-newest-value", alert.now) : "");
   setText(parts.when, time(alert.time_ns / 1e9));
-  setText(parts.seen, alert.acknowledged_by ? `Seen by ${alert.acknowledged_by}${alert.note ? `: ${alert.note}` : ""}` : "");
+  setText(parts.seen, alert.acknowledged_by ? t("alert-seen-by", alert.acknowledged_by, alert.note ? `: ${alert.note}` : "") : "");
   parts.seen.hidden = !alert.acknowledged_by;
   parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
   parts.link.parentElement.hidden = ["normal", "learning", "undecided"].includes(alert.state);
@@ -114,34 +115,34 @@ export class AcknowledgeDialog {
   constructor(sent = () => {}) {
     this.sent = sent;
     this.title = h("h2");
-    this.why = h("p", { class: "sentence" });
+    this.why = h("p", { class: "sentence", lang: SERVICES });
     this.who = h("input", { id: "who", name: "who", required: true, maxlength: 100, autocomplete: "name" });
     this.note = h("textarea", { id: "note", name: "note", rows: 3, maxlength: 1000 });
     this.told = h("p", { class: "told", role: "status" });
-    this.send = h("button", { type: "submit", class: "acknowledge" }, "Acknowledge");
+    this.send = h("button", { type: "submit", class: "acknowledge" }, t("acknowledge"));
     this.element = h(
       "dialog",
-      { "aria-label": "Acknowledge an alert" },
+      { "aria-label": t("acknowledge-an-alert") },
       h(
         "form",
         { method: "dialog", onsubmit: (event) => this.#submit(event) },
         this.title,
         this.why,
-        h("label", { for: "who" }, "Your name"),
+        h("label", { for: "who" }, t("your-name")),
         this.who,
-        h("label", { for: "note" }, "Note (optional)"),
+        h("label", { for: "note" }, t("note-optional")),
         this.note,
         this.told,
-        h("div", { class: "actions" }, this.send, h("button", { type: "button", onclick: () => this.element.close() }, "Close")),
+        h("div", { class: "actions" }, this.send, h("button", { type: "button", onclick: () => this.element.close() }, t("close"))),
       ),
     );
   }
 
   open(alert) {
     this.alert = alert;
-    setText(this.title, `Acknowledge ${alert.structure} / ${alert.parameter}`);
+    setText(this.title, t("acknowledge-part-of", alert.structure, alert.parameter));
     setSentence(this.why, alert.why);
-    setText(this.told, "Others will see that the alert is being handled. It has no other effect.");
+    setText(this.told, t("others-will-see-that-the-alert-is"));
     this.who.value = localStorage.getItem(NAME_KEY) ?? "";
     this.note.value = "";
     this.send.disabled = false;
@@ -164,10 +165,10 @@ export class AcknowledgeDialog {
   async #submit(event) {
     event.preventDefault();
     const [who, note] = [this.who.value.trim(), this.note.value.trim()];
-    if (!who) return setText(this.told, "Please enter your name.");
+    if (!who) return setText(this.told, t("please-enter-your-name"));
     localStorage.setItem(NAME_KEY, who);
     this.send.disabled = true;
-    setText(this.told, "sending …");
+    setText(this.told, t("sending"));
     const { structure, parameter } = this.alert;
     const address = `/api/structures/${encodeURIComponent(structure)}/alerts/${encodeURIComponent(parameter)}/acknowledge`;
     try {
@@ -181,11 +182,11 @@ export class AcknowledgeDialog {
         return this.sent();
       }
     } catch {
-      return this.#failed("Cannot reach Spandrel; the acknowledgement was not sent.");
+      return this.#failed(t("cannot-reach-spandrel-the-acknowledgement-was-not"));
     }
     this.waiting = true;
-    setText(this.told, "sent, waiting for the alert service …");
-    this.timer = setTimeout(() => this.#failed("No reply from the alert service; is it running?"), ANSWER_WITHIN_MS);
+    setText(this.told, t("sent-waiting-for-the-alert-service"));
+    this.timer = setTimeout(() => this.#failed(t("no-reply-from-the-alert-service-is")), ANSWER_WITHIN_MS);
     this.sent();
   }
 

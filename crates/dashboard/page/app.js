@@ -1,10 +1,13 @@
-// Starts the page and shows the view in the address: all structures, one structure, or the alerts.
+// Starts the page and shows the view in the address: all structures, one structure, the alerts, or
+// a report.
 
 import { AlertsPage } from "./alerts.js";
 import { Connection } from "./connection.js";
 import { h, setText } from "./dom.js";
 import { letIn, watchSession } from "./entrance.js";
+import { language, switchLanguage, t } from "./language.js";
 import { OverviewPage } from "./overview.js";
+import { ReportPage } from "./report.js";
 import { StructurePage } from "./structure.js";
 import { duration, isLocal, showLocal } from "./words.js";
 
@@ -22,17 +25,19 @@ function route() {
   const [kind, name, tab] = chunks;
   if (kind === "structure" && name) page = new StructurePage(connection, name, tab, parameters);
   else if (kind === "alerts") page = new AlertsPage(connection, parameters);
+  else if (kind === "report") page = new ReportPage(connection, parameters);
   else if (chunks.length === 0) page = new OverviewPage(connection);
   else page = notThere();
   main.replaceChildren(page.element);
   mark("nav-structures", chunks.length === 0 || kind === "structure");
   mark("nav-alerts", kind === "alerts");
+  mark("nav-report", kind === "report");
   scrollTo(0, 0);
 }
 
 function notThere() {
   connection.listen(null);
-  return { element: h("p", { class: "empty" }, "Page not found. ", h("a", { href: "#/" }, "All structures")) };
+  return { element: h("p", { class: "empty" }, t("page-not-found"), h("a", { href: "#/" }, t("link-all-structures"))) };
 }
 
 function mark(id, isHere) {
@@ -49,12 +54,12 @@ function showState() {
   const isOpen = connection.isOpen;
   link.dataset.state = isOpen ? "open" : "lost";
   setText(link.querySelector(".mark"), isOpen ? "●" : "✕");
-  if (isOpen) setText(document.getElementById("link-text"), "connected");
-  else setText(document.getElementById("link-text"), silence === Infinity ? "connecting …" : `lost ${duration(silence)} ago`);
+  if (isOpen) setText(document.getElementById("link-text"), t("connected"));
+  else setText(document.getElementById("link-text"), silence === Infinity ? t("connecting") : t("lost-ago", duration(silence)));
   const isLost = !isOpen && silence !== Infinity;
   lost.hidden = !isLost;
   document.body.classList.toggle("is-lost", isLost);
-  if (isLost) setText(lost, `✕ No connection to Spandrel: the data shown is ${duration(silence)} old. Reconnecting …`);
+  if (isLost) setText(lost, t("no-connection-to-spandrel-the-data-shown", duration(silence)));
 }
 
 /** Shows raised alerts in the title, and announces new ones to screen readers. */
@@ -63,11 +68,12 @@ function showAlerts({ structures }) {
   const count = document.getElementById("alert-count");
   count.hidden = raised === 0;
   setText(count, `▲ ${raised}`);
-  count.setAttribute("aria-label", `${raised} raised`);
-  document.title = raised > 0 ? `▲ ${raised} – Spandrel` : "Spandrel";
+  count.setAttribute("aria-label", t("raised-alerts", raised));
+  const title = page?.title ?? "Spandrel";
+  document.title = raised > 0 && !page?.title ? `▲ ${raised} – ${title}` : title;
   if (raisedBefore !== null && raised > raisedBefore) {
     const first = structures.find((structure) => structure.raised > 0);
-    setText(document.getElementById("announce"), `Alarm, ${first.name}: ${first.sentence}`);
+    setText(document.getElementById("announce"), t("announce-alarm", first.name, first.sentence));
   }
   raisedBefore = raised;
 }
@@ -76,7 +82,7 @@ function showAlerts({ structures }) {
 function showZone() {
   const button = document.getElementById("zone");
   button.setAttribute("aria-pressed", String(isLocal()));
-  setText(document.getElementById("zone-text"), isLocal() ? "local" : "UTC");
+  setText(document.getElementById("zone-text"), isLocal() ? t("local") : "UTC");
 }
 
 /** Builds the page again, with all times in the other zone. The address keeps what is shown. */
@@ -88,6 +94,12 @@ function switchZone() {
   route();
 }
 
+document.documentElement.lang = language;
+document.querySelectorAll("[data-words]").forEach((element) => setText(element, t(element.dataset.words)));
+document.querySelector("nav").setAttribute("aria-label", t("pages"));
+const other = document.getElementById("language");
+other.setAttribute("aria-label", t("switch-language"));
+other.addEventListener("click", switchLanguage);
 showZone();
 document.getElementById("zone").addEventListener("click", switchZone);
 connection.on("state", showState);

@@ -2,6 +2,7 @@
 // loss.
 
 import { h, s, setAttribute, setText } from "./dom.js";
+import { t } from "./language.js";
 import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
 
 /** Size of the drawing in its own units, and width of a drawing above the table. */
@@ -65,7 +66,7 @@ export class Drawing {
     this.isWide = drawing.form === "members" && isWide(drawing.points);
     this.width = this.isWide && !matchMedia(NARROW).matches ? WIDE : WIDTH;
     this.svg = s("svg", { class: "drawing", role: "img", viewBox: `0 0 ${WIDTH} ${HEIGHT}` });
-    this.svg.append(s("title", {}, about.has_model ? `Drawing of ${about.name}, coloured by probability of loss; the adjacent table contains the same values` : `Drawing of ${about.name} with its sensors`));
+    this.svg.append(s("title", {}, about.has_model ? t("drawing-of-coloured-by-probability-of-loss", about.name) : t("drawing-of-with-its-sensors", about.name)));
     this.svg.append(hatches());
     const parameters = new Set(drawing.members.flatMap((member) => member.parameters));
     this.namesAll = parameters.size <= MOST_NAMES;
@@ -85,7 +86,7 @@ export class Drawing {
       found.set(part.name, { worst, told });
       for (const element of [part.element, part.words]) setAttribute(element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "known";
-      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? `${names}, probability of loss ${told}` : names}`);
+      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? t("part-probability-of-loss", names, told) : names}`);
       if (part.label) {
         const isFound = worst !== null && worst >= 0.5;
         setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, told) : "");
@@ -185,7 +186,7 @@ export class Drawing {
     const scale = Math.min((this.width - 2 * MARGIN) / (x1 - x0 || 1), (HEIGHT - 2 * MARGIN) / (y1 - y0 || 1));
     const lying = (y1 - y0) * scale;
     const upwards = lying > 0 && lying < FLATTEST ? (scale * FLATTEST) / lying : scale;
-    if (upwards > 1.5 * scale) this.note = `Heights are drawn ${(upwards / scale).toFixed(0)} times larger than lengths. `;
+    if (upwards > 1.5 * scale) this.note = t("heights-are-drawn-times-larger-than-lengths", (upwards / scale).toFixed(0));
     const height = Math.min(HEIGHT, (y1 - y0) * upwards + 2 * MARGIN + 20);
     this.svg.setAttribute("viewBox", `0 0 ${this.width} ${height}`);
     const at = ({ x, y }) => [this.width / 2 + (x - (x0 + x1) / 2) * scale, height / 2 - (y - (y0 + y1) / 2) * upwards];
@@ -250,7 +251,7 @@ export class Drawing {
     const width = Math.min(120, (WIDTH - 20) / points.length - 8);
     const left = (index) => 10 + index * (width + 8);
     this.svg.setAttribute("viewBox", `0 0 ${WIDTH} 150`);
-    this.note = "Substructures without geometry, side by side. ";
+    this.note = t("substructures-without-geometry-side-by-side");
     for (const member of members) {
       const x = left(member.ends[0]);
       const shape = { x, y: 40, width, height: 60 };
@@ -334,8 +335,8 @@ function key({ drawing: { sensors }, has_model: hasModel }, note) {
   return h(
     "figcaption",
     { class: "drawing-key" },
-    hasModel ? [h("span", {}, "Probability of loss: "), h("ul", {}, steps)] : null,
-    h("span", {}, "Sensors: ● delivers  ✕ gone or silent  ▲ faulty  ◆ excluded  ■ ended  ○ unknown"),
-    h("span", {}, note, apart.length > 0 ? `Not drawn: ${apart.join(", ")}.` : null),
+    hasModel ? [h("span", {}, t("key-probability-of-loss")), h("ul", {}, steps)] : null,
+    h("span", {}, t("sensors-delivers-gone-or-silent-faulty-excluded")),
+    h("span", {}, note, apart.length > 0 ? t("not-drawn", apart.join(", ")) : null),
   );
 }

@@ -1,6 +1,7 @@
 // Requests a token if the server requires one. The page sends the token once and does not store it.
 
 import { h, setText } from "./dom.js";
+import { t } from "./language.js";
 
 const ADDRESS = "/api/session";
 /** Minimum interval between checks whether the session has ended (ms). */
@@ -43,10 +44,10 @@ function form(done) {
       const { error, allowed } = await response.json();
       setText(told, `${error}; ${allowed}`);
     } catch {
-      setText(told, "No reply from Spandrel.");
+      setText(told, t("no-reply-from-spandrel"));
     }
     token.value = "";
     token.focus();
   };
-  return h("form", { class: "empty", id: "entrance", onsubmit: submit }, h("label", { for: "token" }, "Token "), token, " ", h("button", { type: "submit" }, "Enter"), told);
+  return h("form", { class: "empty", id: "entrance", onsubmit: submit }, h("label", { for: "token" }, t("token")), token, " ", h("button", { type: "submit" }, t("enter")), told);
 }

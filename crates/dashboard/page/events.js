@@ -1,7 +1,8 @@
 // The tab of the events: changes of alerts, and events of sensors, nodes and services, by time.
 
 import { h, keyed, setText } from "./dom.js";
-import { COLUMNS, STATES, place, setSentence, time } from "./words.js";
+import { t } from "./language.js";
+import { COLUMNS, SERVICES, STATES, place, setSentence, time } from "./words.js";
 
 export class EventsTab {
   key = "events";
@@ -11,18 +12,18 @@ export class EventsTab {
   constructor(page) {
     this.page = page;
     this.rows = h("tbody");
-    this.none = h("p", { class: "group-text" }, "None since the dashboard was started.");
+    this.none = h("p", { class: "group-text" }, t("none-since-the-dashboard-was-started"));
     const heads = h("tr", {}, COLUMNS.events.map((text) => (text ? h("th", { scope: "col" }, text) : h("td"))));
-    this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Events" }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
+    this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("events") }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
     // The list is a page of its own, which prints well.
-    const reports = h("p", { class: "group-text", hidden: !page.about.earthquakes }, h("a", { href: report(page.name, "index") }, "Earthquake reports"));
-    this.element = h("section", { class: "card" }, h("h2", {}, "Events"), reports, this.none, this.table);
+    const reports = h("p", { class: "group-text", hidden: !page.about.earthquakes }, h("a", { href: report(page.name, "index") }, t("earthquake-reports")));
+    this.element = h("section", { class: "card" }, h("h2", {}, t("events")), reports, this.none, this.table);
   }
 
   update({ events, changes }) {
     const ofAlert = (change) => {
       const { sign, word, level } = STATES[change.state];
-      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: `${sign} alert ${word}`, why: change.why, level, parameter: change.parameter };
+      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert-became", sign, word), why: change.why, level, parameter: change.parameter };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => ({ key: `${subject}/${what}`, time_ns, about: subject, what, why, level: "learning", parameter: null, report: kind === "earthquake-report" ? subject : null });
     const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
@@ -33,10 +34,10 @@ export class EventsTab {
 
   #make({ time_ns, about, what, level, parameter, report: made }) {
     const at = time_ns / 1e9;
-    const why = h("p", { class: "why" });
-    const read = made ? [h("a", { class: "button small", href: report(this.page.name, made) }, "Report"), " "] : [];
-    const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": `Show ${about} at ${time(at)}` }, "Show");
-    const name = h("strong");
+    const why = h("p", { class: "why", lang: SERVICES });
+    const read = made ? [h("a", { class: "button small", href: report(this.page.name, made) }, t("report")), " "] : [];
+    const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": t("show-at", about, time(at)) }, t("show"));
+    const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, what);
     return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, read, show)), why };
   }

@@ -15,10 +15,11 @@ export class PlotGroup {
     return [...this.#plots.values()];
   }
 
-  /** Adds a plot in the natural order of the keys, unless it exists. */
-  add(key, make) {
+  /** Adds a plot in the natural order of the keys, unless it exists. `kind` is that of a further plot. */
+  add(name, make, kind = "") {
+    const key = kind ? `${name} ${kind}` : name;
     if (this.#plots.has(key)) return;
-    const plot = make();
+    const plot = Object.assign(make(), { group: name });
     const after = [...this.#plots.keys()].filter((other) => natural(other, key) > 0).sort(natural)[0];
     this.holder.insertBefore(plot.element, this.#plots.get(after)?.element ?? null);
     this.#plots.set(key, plot);
@@ -27,7 +28,7 @@ export class PlotGroup {
 
   /** Shows only the plots with these keys. */
   show(keys) {
-    for (const [key, plot] of this.#plots) plot.element.hidden = !keys.has(key);
+    for (const plot of this.#plots.values()) plot.element.hidden = !keys.has(plot.group);
   }
 
   drop(key) {

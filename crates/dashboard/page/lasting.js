@@ -2,18 +2,19 @@
 
 import { CoursePoints, dateOf, noon } from "./course.js";
 import { h, keyed, setText } from "./dom.js";
+import { t } from "./language.js";
 import { RangeBar } from "./ranges.js";
 import { DAY_S, Span } from "./span.js";
-import { COLUMNS, LEVELS, judged, judgementWords, number, percent } from "./words.js";
+import { COLUMNS, LEVELS, judged, judgementWords, number, percent, wordOf, SERVICES } from "./words.js";
 import { Extent, conditionScatter, evidencePlot, residualPlot, valuePlot } from "./year.js";
 
 /** Selectable lengths (s). */
 const LENGTHS = [
-  [30 * DAY_S, "1 month"],
-  [92 * DAY_S, "3 months"],
-  [366 * DAY_S, "1 year"],
-  [2 * 366 * DAY_S, "2 years"],
-  [10 * 366 * DAY_S, "10 years"],
+  [30 * DAY_S, t("1-month")],
+  [92 * DAY_S, t("3-months")],
+  [366 * DAY_S, t("1-year")],
+  [2 * 366 * DAY_S, t("2-years")],
+  [10 * 366 * DAY_S, t("10-years")],
 ];
 /** Length that is shown first: a year. */
 const YEAR_S = 366 * DAY_S;
@@ -30,13 +31,13 @@ export class LastingTab {
     this.extent = new Extent();
     this.points = new CoursePoints(page.name, this.span);
     this.points.quantity = page.about.judged[0] ?? null;
-    this.list = h("ul", { class: "quantities", "aria-label": "Judged quantities" });
+    this.list = h("ul", { class: "quantities", "aria-label": t("judged-quantities") });
     this.title = h("h2");
-    this.sentence = h("p", { class: "sentence" });
+    this.sentence = h("p", { class: "sentence", lang: SERVICES });
     this.facts = h("dl", { class: "facts" });
     this.delays = h("tbody");
     const heads = COLUMNS.delays.map((text) => h("th", { scope: "col" }, text));
-    this.finds = h("table", { class: "delays" }, h("caption", {}, "What the reference finds, in simulated years"), h("thead", {}, h("tr", {}, heads)), this.delays);
+    this.finds = h("table", { class: "delays" }, h("caption", {}, t("what-the-reference-finds-in-simulated-years")), h("thead", {}, h("tr", {}, heads)), this.delays);
     this.ranges = new RangeBar(this.span, () => this.points.csv(), { lengths: LENGTHS, key: "year" });
     this.scatter = conditionScatter(this.points, this.span, this.extent);
     const values = valuePlot(this.points, this.span);
@@ -44,8 +45,8 @@ export class LastingTab {
     values.element.classList.add("is-wide");
     this.trouble = h("p", { class: "empty", role: "status", hidden: true });
     this.notes = h("ul", { class: "notes" });
-    this.noted = h("section", { class: "card noted" }, h("h3", {}, "Notes of people"), this.notes);
-    const reference = h("section", { class: "card reference" }, h("h3", {}, "Reference and budget"), this.facts, this.finds);
+    this.noted = h("section", { class: "card noted" }, h("h3", {}, t("notes-of-people")), this.notes);
+    const reference = h("section", { class: "card reference" }, h("h3", {}, t("reference-and-budget")), this.facts, this.finds);
     const plots = h("div", { class: "plots", id: "year" }, this.plots.map(({ element }) => element), reference, this.noted);
     this.seen = h("p", { class: "seen" });
     this.card = h("section", { class: "card judged" }, this.title, this.sentence, this.seen);
@@ -71,7 +72,7 @@ export class LastingTab {
       if (quantity === this.chosen) link.setAttribute("aria-current", "true");
       else link.removeAttribute("aria-current");
       setText(sign, LEVELS[level].sign);
-      setText(state, judgement?.word.replaceAll("-", " ") ?? "not reported yet");
+      setText(state, judgement ? wordOf(judgement.word) : t("not-reported-yet"));
     });
     const judgement = judgements.find(({ quantity }) => quantity === this.chosen);
     this.#show(judgement);
@@ -89,7 +90,7 @@ export class LastingTab {
     const { course, trouble } = this.points;
     this.scatter.element.hidden = course !== null && course.conditions.length === 0;
     this.trouble.hidden = trouble === null;
-    if (trouble !== null) setText(this.trouble, `No days: ${trouble}.`);
+    if (trouble !== null) setText(this.trouble, t("no-days", trouble));
     if (course !== this.shown) {
       this.shown = course;
       this.#tell(course);
@@ -116,11 +117,11 @@ export class LastingTab {
   #show(judgement) {
     const level = judgement ? judgementWords(judgement).level : "learning";
     this.card.dataset.level = level;
-    setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? "No quantity"}`);
-    setText(this.sentence, judgement?.sentence ?? "The service judge has not reported yet.");
+    setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? t("no-quantity")}`);
+    setText(this.sentence, judgement?.sentence ?? t("the-service-judge-has-not-reported-yet"));
     const seen = judgement?.seen;
     this.seen.hidden = !seen;
-    if (seen) setText(this.seen, `● Seen by ${seen.who} on ${dateOf(seen.time_ns / 1e9)}: ${seen.text}`);
+    if (seen) setText(this.seen, t("seen-by-on", seen.who, dateOf(seen.time_ns / 1e9), seen.text));
   }
 
   /** Shows what the reference promises, or what is missing. */
@@ -128,7 +129,7 @@ export class LastingTab {
     const fact = ([title, text]) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
     this.facts.replaceChildren(...(course ? facts(course).map(fact) : []));
     const delays = course?.reference?.delays ?? [];
-    const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? "mostly missed" : `${days} days`), h("td", {}, percent(share, 0)));
+    const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? t("mostly-missed") : t("days", days)), h("td", {}, percent(share, 0)));
     const notes = (course?.annotations ?? []).toReversed();
     this.noted.hidden = notes.length === 0;
     this.notes.replaceChildren(...notes.map(note));
@@ -148,11 +149,11 @@ export class LastingTab {
 }
 
 /** What the effects of an annotation are called. */
-const EFFECTS = { seen: "lasting change seen", "new-reference": "new reference" };
+const EFFECTS = { seen: t("lasting-change-seen"), "new-reference": t("new-reference") };
 
 /** Returns the line of an annotation. */
 function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
-  const end = to === null ? "" : ` to ${dateOf(to / 1e9)}`;
+  const end = to === null ? "" : t("to-date", dateOf(to / 1e9));
   const what = EFFECTS[effect] ? `${kind}, ${EFFECTS[effect]}` : kind;
   return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what), ` ${text} (${who})`);
 }
@@ -160,16 +161,16 @@ function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
 /** Returns the facts of a course: titles and texts. */
 function facts({ reference, rows, kind, loss, commissioning_days: needed, false_alarms_per_year: budget }) {
   const last = rows.at(-1);
-  const day = last ? [["Last day", `${dateOf(last.time)}, ${last.epochs} epochs`]] : [];
-  const shared = [["Loss that matters", `${percent(loss, 0)} of stiffness`]];
-  if (!reference) return [["Reference", `needs ${needed} days of commissioning`], ["Budget of the structure", `${number(budget)} false alarms a year`], ...shared, ...day];
+  const day = last ? [[t("last-day"), t("epochs", dateOf(last.time), last.epochs)]] : [];
+  const shared = [[t("loss-that-matters"), t("of-stiffness", percent(loss, 0))]];
+  if (!reference) return [[t("reference"), t("needs-days-of-commissioning", needed)], [t("budget-of-the-structure"), t("false-alarms-a-year", number(budget))], ...shared, ...day];
   const { from_ns: from, to_ns: to, coverage, scatter, knows_frost: frost, promised_per_year: promised, achieved_per_year: achieved } = reference;
   return [
-    ["Reference", `${dateOf(noon(from))} to ${dateOf(noon(to))}${frost === false ? ", without frost" : ""}`],
-    ["Scatter of a day", `${percent(scatter, 2)} of the ${kind}`],
-    ["Later days in the 95 % interval", percent(coverage, 0)],
-    ["Promised false alarms a year", `${number(promised)}, of ${number(budget)} for the structure`],
-    ["In simulated years", `${number(achieved)} false alarms a year`],
+    [t("reference"), `${t("range", dateOf(noon(from)), dateOf(noon(to)))}${frost === false ? t("without-frost") : ""}`],
+    [t("scatter-of-a-day"), t("of-the", percent(scatter, 2), kind)],
+    [t("later-days-in-the-95-per-cent"), percent(coverage, 0)],
+    [t("promised-false-alarms-a-year"), t("of-for-the-structure", number(promised), number(budget))],
+    [t("in-simulated-years"), t("false-alarms-a-year", number(achieved))],
     ...shared,
     ...day,
   ];

@@ -1,9 +1,10 @@
 // The tab of the model: whether it explains the data, and what it learns besides the parameters.
 
-import { h } from "./dom.js";
+import { h, setText } from "./dom.js";
 import { PlotGroup } from "./groups.js";
+import { t } from "./language.js";
 import { classPlot, consistencyPlot, innovationPlot, noisePlot } from "./plots.js";
-import { FITS, setSentence } from "./words.js";
+import { FITS, SERVICES, setSentence, wordOf } from "./words.js";
 
 export class ModelTab {
   key = "model";
@@ -12,13 +13,14 @@ export class ModelTab {
 
   constructor(page) {
     this.page = page;
-    this.fit = h("p", { class: "fit", hidden: true });
-    this.none = h("p", { class: "empty" }, "No data yet.");
+    [this.verdict, this.reasons] = [h("span"), h("span", { lang: SERVICES })];
+    this.fit = h("p", { class: "fit", hidden: true }, this.verdict, this.reasons);
+    this.none = h("p", { class: "empty" }, t("no-data-yet"));
     this.groups = {
-      classes: new PlotGroup("classes", "Model classes"),
-      agreement: new PlotGroup("agreement", "Model and data"),
-      innovations: new PlotGroup("innovations", "Innovations", "Observed minus predicted value: minimum and maximum in each interval."),
-      noise: new PlotGroup("noise", "Noise levels"),
+      classes: new PlotGroup("classes", t("model-classes")),
+      agreement: new PlotGroup("agreement", t("model-and-data")),
+      innovations: new PlotGroup("innovations", t("innovations"), t("observed-minus-predicted-value-minimum-and-maximum")),
+      noise: new PlotGroup("noise", t("noise-levels")),
     };
     this.element = h("div", {}, this.fit, this.none, Object.values(this.groups).map(({ element }) => element));
   }
@@ -51,6 +53,7 @@ export class ModelTab {
     this.fit.hidden = !fit;
     if (!fit) return;
     this.fit.dataset.level = FITS[fit.verdict].level;
-    setSentence(this.fit, `${FITS[fit.verdict].sign} Fit ${fit.verdict}: ${fit.words}.`);
+    setText(this.verdict, t("fit-verdict", FITS[fit.verdict].sign, wordOf(fit.verdict)));
+    setSentence(this.reasons, `${fit.words}.`);
   }
 }

@@ -3,9 +3,10 @@
 import { h, keyed, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { PlotGroup } from "./groups.js";
+import { t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, NOT_STIFFNESS, NO_RULE, judged, judgementWords, modeWords, place, probability, ratio, stateOf, step } from "./words.js";
+import { COLUMNS, NOT_STIFFNESS, NO_RULE, SERVICES, judged, judgementWords, modeWords, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -22,18 +23,18 @@ export class NowTab {
     this.rows = h("tbody");
     this.ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
     const heads = h("tr", {}, COLUMNS.parts.map((text) => h("th", { scope: "col" }, text)));
-    const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": "Parts" };
+    const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": t("parts") };
     const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));
-    this.search = searchField(about.parameters.length, "Find a part", () => this.update(page.standing()));
+    this.search = searchField(about.parameters.length, t("find-a-part"), () => this.update(page.standing()));
     this.worst = h("section", { class: "card worst", hidden: !about.has_model });
-    const parts = h("section", { class: "card parts", hidden: about.parameters.length === 0 }, h("div", { class: "card-head" }, h("h2", {}, "Parts"), this.search.element), table);
+    const parts = h("section", { class: "card parts", hidden: about.parameters.length === 0 }, h("div", { class: "card-head" }, h("h2", {}, t("parts")), this.search.element), table);
     this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
-    this.noJudgement = h("p", { class: "group-text" }, "The service judge has not reported yet.");
-    const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, "Lasting change"), this.noJudgement, this.judgements);
+    this.noJudgement = h("p", { class: "group-text" }, t("the-service-judge-has-not-reported-yet"));
+    const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, t("lasting-change")), this.noJudgement, this.judgements);
     this.modes = h("ul", { class: "sensor-list", id: "modes" });
-    this.noMode = h("p", { class: "group-text" }, "The service modes has not completed an epoch yet.");
-    const natural = h("section", { class: "card", id: "natural-frequencies", hidden: about.modes.length === 0 }, h("h2", {}, "Natural frequencies"), h("p", { class: "group-text" }, "Frequency with its 95 % interval, and damping ratio with its standard deviation."), this.noMode, this.modes);
-    this.frequencies = new PlotGroup("modes", "Natural frequencies over time", "Each epoch is a point; bands: 50, 95 and 99.7 % intervals.");
+    this.noMode = h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
+    const natural = h("section", { class: "card", id: "natural-frequencies", hidden: about.modes.length === 0 }, h("h2", {}, t("natural-frequencies")), h("p", { class: "group-text" }, t("frequency-with-its-95-per-cent-interval")), this.noMode, this.modes);
+    this.frequencies = new PlotGroup("modes", t("natural-frequencies-over-time"), t("each-epoch-is-a-point-bands-50"));
     this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null, lasting, natural, this.frequencies.element);
   }
 
@@ -62,9 +63,9 @@ export class NowTab {
       const state = alert ? stateOf(alert) : null;
       part.element.dataset.level = state?.level ?? "learning";
       part.state.title = alert?.unwatched?.why ?? "";
-      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? " (stale)" : ""}` : this.ruled.has(parameter.name) ? "… no decision yet" : NO_RULE);
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
       setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
-      setText(part.interval, shown ? `${ratio(shown.interval.low)} to ${ratio(shown.interval.high)}` : "–");
+      setText(part.interval, shown ? t("range", ratio(shown.interval.low), ratio(shown.interval.high)) : "–");
       const loss = standing.losses[parameter.name];
       const p = parameter.stiffness ? loss?.probability_of_loss : null;
       setText(part.text, p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility));
@@ -101,8 +102,8 @@ export class NowTab {
   #showJudgements({ judgements }) {
     this.noJudgement.hidden = judgements.length > 0;
     keyed(this.judgements, judgements, (judgement) => judgement.quantity, (judgement) => {
-      const text = h("span");
-      return { element: h("li", {}, text, " ", h("a", { href: judged(this.page.name, judgement.quantity), "aria-label": `Show the year of ${judgement.quantity}` }, "Show the year")), text };
+      const text = h("span", { lang: SERVICES });
+      return { element: h("li", {}, text, " ", h("a", { href: judged(this.page.name, judgement.quantity), "aria-label": t("show-the-year-of", judgement.quantity) }, t("show-the-year"))), text };
     }, (part, judgement) => {
       const { level, text } = judgementWords(judgement);
       part.element.dataset.level = level;

@@ -2,20 +2,23 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { report } from "./events.js";
+import { t } from "./language.js";
+import { StructureMap } from "./map.js";
 import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
-import { LEVELS, SEARCH_ABOVE, STATES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time } from "./words.js";
+import { LEVELS, SEARCH_ABOVE, SERVICES, STATES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, wordOf } from "./words.js";
 
 export class OverviewPage {
   constructor(connection) {
     this.connection = connection;
-    this.summary = h("p", { class: "summary" }, "Loading …");
+    this.summary = h("p", { class: "summary" }, t("loading"));
     this.list = h("ul", { class: "structures" });
-    this.none = h("p", { class: "empty", hidden: true }, "No structure matches the search.");
+    this.none = h("p", { class: "empty", hidden: true }, t("no-structure-matches-the-search"));
+    this.map = new StructureMap();
     this.tools = h("div", { class: "tools" });
     this.reported = h("ol", {});
-    this.quakes = h("section", { "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, "After the earthquake: who needs an inspector first"), this.reported);
-    this.element = h("div", { class: "overview" }, h("h1", {}, "Structures"), this.summary, this.quakes, this.tools, this.list, this.none);
+    this.quakes = h("section", { "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, t("after-the-earthquake")), this.reported);
+    this.element = h("div", { class: "overview" }, h("h1", {}, t("structures")), this.summary, this.quakes, this.map.element, this.tools, this.list, this.none);
     this.lines = new Sparklines();
     connection.listen(null);
     this.leave = connection.on("overview", (message) => this.show(message));
@@ -24,13 +27,14 @@ export class OverviewPage {
   close() {
     this.leave();
     this.lines.close();
+    this.map.close();
   }
 
   show({ structures }) {
     setText(this.summary, summary(structures));
     this.summary.dataset.level = structures[0]?.level ?? "learning";
     // Only many structures need a search and short cards.
-    this.search ??= searchField(structures.length, "Find a structure", () => this.show({ structures: this.structures }));
+    this.search ??= searchField(structures.length, t("find-a-structure"), () => this.show({ structures: this.structures }));
     if (this.search.element && !this.search.element.parentElement) this.tools.append(this.search.element);
     this.structures = structures;
     const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
@@ -38,6 +42,7 @@ export class OverviewPage {
     keyed(this.reported, shaken, ({ name }) => name, makeReported, updateReported);
     this.list.classList.toggle("is-many", structures.length > SEARCH_ABOVE);
     const found = structures.filter(({ name, description, sentence }) => this.search.finds(`${name} ${description} ${sentence}`));
+    this.map.show(found);
     this.none.hidden = found.length > 0 || structures.length === 0;
     const make = (structure) => {
       const card = makeCard(structure);
@@ -52,14 +57,15 @@ export class OverviewPage {
 }
 
 function summary(structures) {
-  if (structures.length === 0) return "No structure is watched.";
+  if (structures.length === 0) return t("no-structure-is-watched");
   const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
-  const of = structures.length === 1 ? "1 structure" : `${structures.length} structures`;
+  const of = structures.length === 1 ? t("1-structure") : t("many-structures", structures.length);
   const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
-  if (urgent.length === 0 && seen.length > 0) return `${LEVELS.notice.sign} ${of} watched, nothing new; acknowledged: ${seen.join(", ")}.`;
-  if (urgent.length === 0) return `✓ ${of} watched, nothing needs attention.`;
+  if (urgent.length === 0 && seen.length > 0) return t("watched-nothing-new-acknowledged", LEVELS.notice.sign, of, seen.join(", "));
+  if (urgent.length === 0) return t("watched-nothing-needs-attention", of);
   const names = urgent.map(({ name }) => name).join(", ");
-  return `${LEVELS[urgent[0].level].sign} ${urgent.length} of ${of} ${urgent.length === 1 ? "needs" : "need"} attention: ${names}.`;
+  const { sign } = LEVELS[urgent[0].level];
+  return urgent.length === 1 ? t("1-of-needs-attention", sign, of, names) : t("of-need-attention", sign, urgent.length, of, names);
 }
 
 /** Words of a report for how soon an inspector is needed, the most urgent first. */
@@ -92,8 +98,8 @@ function makeCard(structure) {
   };
   const sign = h("span", { class: "sign", "aria-hidden": "true" });
   const word = h("span", { class: "word" });
-  const sentence = h("p", { class: "sentence" });
-  const now = h("p", { class: "now" });
+  const sentence = h("p", { class: "sentence", lang: SERVICES });
+  const now = h("p", { class: "now", lang: SERVICES });
   const stale = h("span", { class: "badge", "data-level": "stale" });
   const seen = h("span", { class: "badge", "data-level": "notice" });
   const trend = h("canvas", { class: "trend", role: "img", hidden: true });
@@ -115,14 +121,14 @@ function makeCard(structure) {
     h(
       "dl",
       { class: "facts" },
-      fact("worst", "Worst part"),
-      fact("probability", "Probability of loss"),
-      fact("sensors", "Sensors alive"),
-      fact("monitoring", "Monitoring"),
-      fact("fit", "Fit"),
-      fact("lag", "Lag"),
-      fact("age", "Data"),
-      fact("alert", "Last alert"),
+      fact("worst", t("worst-part")),
+      fact("probability", t("probability-of-loss")),
+      fact("sensors", t("sensors-alive")),
+      fact("monitoring", t("monitoring")),
+      fact("fit", t("fit")),
+      fact("lag", t("lag")),
+      fact("age", t("data")),
+      fact("alert", t("last-alert")),
     ),
   );
   return { element, fields, sign, word, sentence, now, seen, stale, trend };
@@ -139,17 +145,17 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
   setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)} ± ${ratio(worst.std)}` : "–");
-  const asked = worst ? ` for more than ${percent(worst.rule_loss, 0)}` : "";
+  const asked = worst ? t("for-more-than", percent(worst.rule_loss, 0)) : "";
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
-  const troubled = sensors.troubled.length > 0 ? ` – not: ${sensors.troubled.join(", ")}` : "";
-  setText(fields.sensors, `${sensors.alive} of ${sensors.total}${troubled}`);
-  setText(fields.monitoring, structure.has_model ? structure.monitoring ?? "unknown" : "natural frequencies");
-  setText(fields.fit, structure.has_model ? fitWord(structure.fit) : "no model");
+  const troubled = sensors.troubled.length > 0 ? t("not", sensors.troubled.join(", ")) : "";
+  setText(fields.sensors, t("share", sensors.alive, sensors.total) + troubled);
+  setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
+  setText(fields.fit, structure.has_model ? fitWord(structure.fit) : t("no-model"));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
-  setSentence(fields.age, structure.replayed ? `${age(structure)}, measured ${time(structure.time_s)}` : age(structure));
-  const at = last && structure.time_s ? `, ${duration(structure.time_s - last.time_s)} before the newest data` : "";
-  setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : "none");
+  setSentence(fields.age, structure.replayed ? t("age-measured", age(structure), time(structure.time_s)) : age(structure));
+  const at = last && structure.time_s ? t("before-the-newest-data", duration(structure.time_s - last.time_s)) : "";
+  setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : t("none"));
 }
 
 /**
@@ -158,23 +164,23 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
  */
 export function showNow(line, now, age_s) {
   line.hidden = !now;
-  if (now) setText(line, `${age_s === null || age_s > 3 ? "By the last value" : "Now"}: ${now}`);
+  if (now) setText(line, `${age_s === null || age_s > 3 ? t("by-the-last-value") : t("now")}: ${now}`);
 }
 
 /** Shows beside any other level that somebody has acknowledged an active alert. */
 export function showAcknowledged(badge, { acknowledged, level }) {
   badge.hidden = !acknowledged || level === "notice";
-  if (!badge.hidden) setText(badge, `${LEVELS.notice.sign} ${acknowledged === 1 ? "alert" : `${acknowledged} alerts`} acknowledged`);
+  if (!badge.hidden) setText(badge, t("alerts-acknowledged", LEVELS.notice.sign, acknowledged === 1 ? t("one-alert") : t("many-alerts", acknowledged)));
 }
 
 /** Shows beside any other level that no new data arrives. */
 export function showStale(badge, { age_s, level }) {
   badge.hidden = level === "stale" || level === "learning" || level === "undecided" || (age_s !== null && age_s < 3);
-  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? "no data yet" : `no new data for ${duration(age_s)}`}`);
+  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? t("badge-no-data-yet") : t("no-new-data-for", duration(age_s))}`);
 }
 
 /** Returns the age of a structure's data in words. */
 export function age({ age_s }) {
-  if (age_s === null) return "none since this page was started";
-  return age_s < 1.5 ? "new" : `${duration(age_s)} old`;
+  if (age_s === null) return t("none-since-this-page-was-started");
+  return age_s < 1.5 ? t("new") : t("old", duration(age_s));
 }

@@ -1,6 +1,7 @@
 // The tab of the parameters: a plot of each, or small plots of many with the details of one.
 
 import { h } from "./dom.js";
+import { t } from "./language.js";
 import { parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
 import { SmallPlots } from "./smalls.js";
@@ -19,16 +20,16 @@ export class ParametersTab {
     this.page = page;
     const { parameters } = page.about;
     this.own = h("input", { type: "checkbox", onchange: () => this.#rescale() });
-    const scale = h("label", { class: "check" }, this.own, "each plot with its own scale");
+    const scale = h("label", { class: "check" }, this.own, t("each-plot-with-its-own-scale"));
     const isMany = parameters.length > MOST_FULL;
-    const words = isMany ? "Line: estimate; band: 95 % interval; dashed: threshold of the rule. Select a part for details." : "Line: estimate; bands: 50, 95 and 99.7 % intervals. Drag across a plot to zoom all of them.";
-    const text = h("p", { class: "group-text" }, `Ratio to the design: 1 is as designed, 0.9 has lost 10 %. ${words}`);
-    this.search = searchField(parameters.length, "Find a part", () => this.smalls.filter((name) => this.search.finds(name)));
+    const words = isMany ? t("line-estimate-band-95-per-cent-interval") : t("line-estimate-bands-50-95-and-99");
+    const text = h("p", { class: "group-text" }, t("ratio-to-the-design-1-is-as", words));
+    this.search = searchField(parameters.length, t("find-a-part"), () => this.smalls.filter((name) => this.search.finds(name)));
     this.smalls = isMany ? new SmallPlots(page, (name) => this.#open(name)) : null;
     this.detail = h("div", { class: "detail", hidden: true });
     if (!isMany) this.#full = parameters.map((parameter) => this.#plot(parameter));
     const all = isMany ? this.smalls.element : h("div", { class: "plots" }, this.#full.map(({ element }) => element));
-    this.element = h("section", { class: "group", id: "group-parameters" }, h("h2", { class: "sr-only" }, "Parameters"), h("div", { class: "tools" }, text, scale, this.search.element), this.detail, all);
+    this.element = h("section", { class: "group", id: "group-parameters" }, h("h2", { class: "sr-only" }, t("parameters")), h("div", { class: "tools" }, text, scale, this.search.element), this.detail, all);
   }
 
   get plots() {
@@ -53,8 +54,8 @@ export class ParametersTab {
     this.smalls?.restart();
   }
 
-  draw() {
-    this.smalls?.draw();
+  draw(options) {
+    this.smalls?.draw(options);
   }
 
   /** Shows the parameter in the address. */
@@ -90,7 +91,7 @@ export class ParametersTab {
     this.chosen = parameter.name;
     this.#full = [this.#plot(parameter)];
     this.detail.hidden = false;
-    this.detail.replaceChildren(this.#full[0].element, h("button", { type: "button", class: "small", onclick: () => this.#open(parameter.name) }, "Close details"));
+    this.detail.replaceChildren(this.#full[0].element, h("button", { type: "button", class: "small", onclick: () => this.#open(parameter.name) }, t("close-details")));
     this.smalls.mark(parameter.name);
   }
 

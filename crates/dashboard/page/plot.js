@@ -2,6 +2,7 @@
 // to a file.
 
 import { h, s, setText } from "./dom.js";
+import { t } from "./language.js";
 import { flags } from "./marks.js";
 import { shapeKey } from "./shapes.js";
 import { clock, isLocal, isWithoutDate, moment, recordTime, zone } from "./words.js";
@@ -56,14 +57,17 @@ export class Plot {
    * - `paint(uPlot)`: draws what uPlot does not draw, such as points of several shapes
    * - `at(x)`: returns the text of a time, if it is not a moment
    * - `isLogarithmic`: whether both axes are logarithmic
+   * - `hasLogarithmicY`: whether the y axis is logarithmic
+   * - `isContinuous`: whether gaps in time need no empty rows
    * - `across()`: returns the title of the x axis, if it does not show the time
    * - `height`: height (px)
    * - `sync`: name of the plots that share the crosshair
+   * - `isSinceStart`: whether the times are since the start of a range
    */
   constructor(plot, points, span) {
     Object.assign(this, { plot, points, span });
     this.readout = h("p", { class: "readout" });
-    const keys = "arrow keys move the crosshair, shift and arrow keys move the span, plus and minus zoom, home returns to the newest data";
+    const keys = t("arrow-keys-move-the-crosshair-shift-and");
     this.holder = h("div", { class: "plot-holder", tabindex: "0", role: "application", "aria-label": `${plot.title}: ${keys}`, onkeydown: (event) => this.#key(event) });
     this.holder.style.minHeight = `${this.#height}px`;
     const legend = (plot.legend ?? []).map(({ name, colour, dash, shape, isHollow }) => {
@@ -75,8 +79,8 @@ export class Plot {
     });
     const csv = h("a", { class: "button small", href: "#", onclick: (event) => (event.currentTarget.href = points.csv(plot.names)), download: `${points.structure}-${plot.file}.csv` }, "CSV");
     const png = h("button", { class: "small", type: "button", onclick: () => this.#png() }, "PNG");
-    csv.setAttribute("aria-label", `${plot.title}: download as CSV`);
-    png.setAttribute("aria-label", `${plot.title}: download as PNG`);
+    csv.setAttribute("aria-label", t("download-as-csv", plot.title));
+    png.setAttribute("aria-label", t("download-as-png", plot.title));
     this.head = h("div", { class: "plot-head" }, h("h3", {}, plot.title), h("span", { class: "files" }, csv, png));
     const key = legend.length > 0 ? h("ul", { class: "legend" }, legend) : [];
     this.element = h("section", { class: "plot", id: `plot-${plot.id ?? plot.file}` }, this.head, this.readout, key, this.holder);
@@ -84,6 +88,16 @@ export class Plot {
     this.seen.observe(this.element);
     this.resized = new ResizeObserver(() => this.#resize());
     this.resized.observe(this.holder);
+  }
+
+  /** Adds a key of colours above the plot. Returns a function that writes its ends. */
+  key(look, unit) {
+    const [low, high] = [h("span"), h("span")];
+    this.readout.after(h("p", { class: "colour-key" }, low, h("span", { class: `ramp is-${look}`, "aria-hidden": "true" }), high, ` ${unit}`));
+    return (least, most) => {
+      setText(low, least);
+      setText(high, most);
+    };
   }
 
   close() {
@@ -144,7 +158,7 @@ export class Plot {
     const isEmpty = !data || data[0].length === 0;
     this.element.classList.toggle("is-empty", isEmpty);
     if (isEmpty) {
-      setText(this.readout, this.#wasFetched ? "no data in this span" : "loading …");
+      setText(this.readout, this.#wasFetched ? t("no-data-in-this-span") : t("plot-loading"));
       return;
     }
     if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
@@ -213,7 +227,7 @@ export class Plot {
     const columns = new Map(this.plot.names.map((name) => [name, this.points.columns(name)]));
     if ([...columns.values()].every((one) => one === null)) return null;
     const rows = this.plot.rows(columns);
-    return this.plot.across ? rows : withHoles(rows);
+    return this.plot.across || this.plot.isSinceStart || this.plot.isContinuous ? rows : withHoles(rows);
   }
 
   #read(index) {
@@ -221,7 +235,8 @@ export class Plot {
     const last = lastOf(data);
     // Refetched data may have fewer rows than the crosshair's index.
     const at = last === null ? null : Math.min(index ?? last, last);
-    const when = this.plot.across ? "" : `${(this.plot.at ?? clock)(data[0][at ?? 0])} · `;
+    const at_s = this.plot.at ?? (this.plot.isSinceStart ? recordTime : clock);
+    const when = this.plot.across ? "" : `${at_s(data[0][at ?? 0])} · `;
     const text = at === null ? "" : `${when}${this.plot.readout(data, at)}`;
     setText(this.readout, text);
   }
@@ -238,11 +253,15 @@ export class Plot {
   #options() {
     const isNarrow = this.holder.clientWidth < 520;
     const { across } = this.plot;
-    const distr = this.plot.isLogarithmic ? 3 : 1;
-    // uPlot otherwise draws nine lines for each decade.
-    const filter = (_, ticks) => (this.plot.isLogarithmic ? ticks.map((tick) => (isDecade(tick) ? tick : null)) : ticks);
-    const label = this.plot.isLogarithmic ? power : compact;
-    const axis = { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1, filter }, ticks: { stroke: css("--grid"), filter }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
+    const isLogarithmicX = Boolean(this.plot.isLogarithmic);
+    const isLogarithmicY = isLogarithmicX || Boolean(this.plot.hasLogarithmicY);
+    const axisOf = (isLogarithmic) => {
+      // uPlot otherwise draws nine lines for each decade.
+      const filter = (_, ticks) => (isLogarithmic ? ticks.map((tick) => (isDecade(tick) ? tick : null)) : ticks);
+      return { stroke: css("--ink-soft"), grid: { stroke: css("--grid"), width: 1, filter }, ticks: { stroke: css("--grid"), filter }, font: "12px system-ui, sans-serif", labelFont: "12px system-ui, sans-serif" };
+    };
+    const labelOf = (isLogarithmic) => (isLogarithmic ? power : compact);
+    const [xAxis, yAxis] = [axisOf(isLogarithmicX), axisOf(isLogarithmicY)];
     return {
       width: this.holder.clientWidth,
       height: this.#height,
@@ -250,12 +269,12 @@ export class Plot {
       legend: { show: false },
       tzDate: (seconds) => (isLocal() ? new Date(1000 * seconds) : uPlot.tzDate(new Date(1000 * seconds), "Etc/UTC")),
       cursor: { sync: { key: across ? null : (this.plot.sync ?? "span") }, drag: { x: true, y: false, setScale: false }, points: { show: false } },
-      scales: { x: { time: !across, distr }, y: { range: this.plot.range ?? padded, distr } },
+      scales: { x: { time: !across, distr: isLogarithmicX ? 3 : 1 }, y: { range: this.plot.range ?? padded, distr: isLogarithmicY ? 3 : 1 } },
       axes: [
         across
-          ? { ...axis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(label), label: across, labelSize: 18 }
-          : { ...axis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (isWithoutDate(u.scales.x.max) ? "time of the record (h:min:s)" : `time (${zone(u.scales.x.max)})`), labelSize: 18 },
-        { ...axis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? label(tick)) },
+          ? { ...xAxis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(labelOf(isLogarithmicX)), label: across, labelSize: 18 }
+          : { ...xAxis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("axis-time", zone(u.scales.x.max))), labelSize: 18 },
+        { ...yAxis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? labelOf(isLogarithmicY)(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
       bands: this.plot.bands?.() ?? [],
@@ -367,7 +386,7 @@ export function padded(_, least, largest) {
  * Formats the times of the axis at the resolution of its steps, with the date where it changes. A
  * record without dates shows its own time.
  */
-function timeTicks(splits, step) {
+export function timeTicks(splits, step) {
   if (splits.length > 0 && isWithoutDate(splits.at(-1))) return splits.map((split) => recordTime(split, step >= 1 ? 0 : step >= 0.1 ? 1 : 3));
   let date = "";
   return splits.map((split) => {
@@ -392,7 +411,7 @@ function isDecade(tick) {
 }
 
 /** Returns the label of a logarithmic axis: 0.01, 1, 10⁻⁶; none between the decades. */
-function power(tick) {
+export function power(tick) {
   if (tick === null || !isDecade(tick)) return null;
   const exponent = Math.round(Math.log10(tick));
   if (Math.abs(exponent) <= 2) return compact(tick);

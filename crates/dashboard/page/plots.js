@@ -1,5 +1,6 @@
 // The plots of a structure.
 
+import { t } from "./language.js";
 import { COLOURS, Plot, css, look, padded } from "./plot.js";
 import { AXES, STATES, number, percent, probability, ratio, unit } from "./words.js";
 
@@ -42,7 +43,7 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
   const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name);
   const marks = () => {
     const loss = known();
-    const bound = loss && parameter.stiffness ? [{ y: threshold(), text: `threshold: ${percent(loss.rule_loss, 0)} lost`, colour: "--alarm" }] : [];
+    const bound = loss && parameter.stiffness ? [{ y: threshold(), text: t("threshold-lost", percent(loss.rule_loss, 0)), colour: "--alarm" }] : [];
     const told = changes().toSorted((a, b) => WORDS_FIRST.indexOf(a.state) - WORDS_FIRST.indexOf(b.state));
     return [...bound, ...told.map((change) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
   };
@@ -74,10 +75,10 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
       },
       readout: (data, at) => {
         const [low, high] = [data[4][at], data[5][at]];
-        if (data[1][at] === null) return "no data";
+        if (data[1][at] === null) return t("no-data");
         const loss = known();
-        const asked = loss && parameter.stiffness && data[8][at] !== null ? ` · P(loss > ${percent(loss.rule_loss, 0)}) ${probability(data[8][at], loss.rule_credibility)}` : "";
-        return `${ratio(data[1][at])} · 95 %: ${ratio(low)} to ${ratio(high)}${asked}`;
+        const asked = loss && parameter.stiffness && data[8][at] !== null ? t("p-loss", percent(loss.rule_loss, 0), probability(data[8][at], loss.rule_credibility)) : "";
+        return t("95-per-cent-to", ratio(data[1][at]), ratio(low), ratio(high), asked);
       },
       marks,
     },
@@ -103,17 +104,17 @@ function quantile(values, share) {
 /** Creates the plot of a noise level: the variance with bands. */
 export function noisePlot(level, points, span) {
   const name = `noise/${level.name}`;
-  const square = level.unit ? `variance, (${unit(level.unit)})²` : AXES.damping;
+  const square = level.unit ? t("variance", unit(level.unit)) : AXES.damping;
   return new Plot(
     {
-      title: `Noise of ${level.name}`,
+      title: t("noise-of", level.name),
       file: `noise-${level.name}`,
       unit: square,
       names: [name],
       rows: (columns) => meanWithBands(columns.get(name)),
       series: bandSeries,
       bands: bandFills,
-      readout: (data, at) => (data[1][at] === null ? "no data" : `${number(data[1][at])} · standard deviation of one sample ${number(Math.sqrt(Math.max(data[1][at], 0)))} ${unit(level.unit)}`),
+      readout: (data, at) => (data[1][at] === null ? t("no-data") : t("standard-deviation-of-one-sample", number(data[1][at]), number(Math.sqrt(Math.max(data[1][at], 0))), unit(level.unit))),
     },
     points,
     span,
@@ -127,14 +128,14 @@ export function innovationPlot(sensor, points, span) {
   const name = `innovation/${sensor.channel}`;
   return new Plot(
     {
-      title: `Innovations of ${sensor.channel}`,
+      title: t("innovations-of", sensor.channel),
       file: `innovation-${sensor.channel}`,
       unit: unit(sensor.unit),
       names: [name],
       rows: (columns) => columns.get(name),
       series: () => [line(1, { width: 1, dash: [] }), line(1, { width: 1, dash: [] })],
       bands: () => [{ series: [2, 1], fill: css("--band-95") }],
-      readout: (data, at) => (data[1][at] === null ? "no sample used" : `${number(data[1][at])} to ${number(data[2][at])} ${unit(sensor.unit)}`),
+      readout: (data, at) => (data[1][at] === null ? t("no-sample-used") : t("range-in-unit", number(data[1][at]), number(data[2][at]), unit(sensor.unit))),
       marks: () => [{ y: 0, text: "" }],
     },
     points,
@@ -158,7 +159,7 @@ export function waveformPlot(sensor, points, span, shared) {
       series: () => [line(0, { width: 1, dash: [] }), line(0, { width: 1, dash: [] })],
       bands: () => [{ series: [2, 1], fill: css("--band-50") }],
       range: (u, least, largest) => shared(largest === null ? null : padded(u, least, largest)) ?? [0, 1],
-      readout: (data, at) => (data[1][at] === null ? "no sample" : `${number(data[1][at])} to ${number(data[2][at])} ${unit(sensor.unit)}`),
+      readout: (data, at) => (data[1][at] === null ? t("no-sample") : t("range-in-unit", number(data[1][at]), number(data[2][at]), unit(sensor.unit))),
     },
     points,
     span,
@@ -169,15 +170,15 @@ export function waveformPlot(sensor, points, span, shared) {
 export function consistencyPlot(points, span) {
   return new Plot(
     {
-      title: "Normalised innovation squared",
+      title: t("normalised-innovation-squared"),
       file: "consistency",
       unit: AXES.consistency,
       names: ["consistency/all"],
       rows: (columns) => columns.get("consistency/all"),
       series: () => [line(2, { dash: [], width: 1.5 })],
       range: (u, least, largest) => [0, Math.max(2, (largest ?? 1) * 1.1)],
-      readout: (data, at) => `${number(data[1][at])} per channel; 1 when model and noise levels explain the data`,
-      marks: () => [{ y: 1, text: "expected" }],
+      readout: (data, at) => t("per-channel-1-when-model-and-noise", number(data[1][at])),
+      marks: () => [{ y: 1, text: t("expected") }],
     },
     points,
     span,
@@ -196,7 +197,7 @@ export function conditionPlot(condition, points, span) {
       names: [name],
       rows: (columns) => columns.get(name) ?? [[], []],
       series: () => [line(4, { dash: [], width: 1.5, points: { show: true, size: 5 } })],
-      readout: (data, at) => (data[1][at] === null ? "no data" : `${number(data[1][at])} ${of}`),
+      readout: (data, at) => (data[1][at] === null ? t("no-data") : `${number(data[1][at])} ${of}`),
     },
     points,
     span,
@@ -215,7 +216,7 @@ export function modePlot(mode, points, span) {
       rows: (columns) => meanWithBands(columns.get(name) ?? [[], [], []]),
       series: () => [line(0, { points: { show: true, size: 5 } }), edge, edge, edge, edge, edge, edge],
       bands: bandFills,
-      readout: (data, at) => (data[1][at] === null ? "no data" : `${number(data[1][at])} Hz · 95 %: ${number(data[4][at])} to ${number(data[5][at])} Hz`),
+      readout: (data, at) => (data[1][at] === null ? t("no-data") : t("hz-95-per-cent-to-hz", number(data[1][at]), number(data[4][at]), number(data[5][at]))),
     },
     points,
     span,
@@ -227,14 +228,14 @@ export function outlierPlot(channel, points, span) {
   const name = `outlier/${channel}`;
   return new Plot(
     {
-      title: `Outliers of ${channel}`,
+      title: t("outliers-of", channel),
       file: `outlier-${channel}`,
-      unit: "rejected (%)",
+      unit: t("rejected-per-cent"),
       names: [name],
       rows: (columns) => [columns.get(name)[0], columns.get(name)[1].map((share) => 100 * share), columns.get(name)[2]],
       series: () => [line(3, { dash: [], fill: () => css("--band-997") }), { show: false }],
       range: (u, least, largest) => [0, Math.max(1, (largest ?? 0) * 1.1)],
-      readout: (data, at) => `${number(data[1][at])} % of the recent samples · ${number(data[2][at])} rejected here`,
+      readout: (data, at) => t("per-cent-of-the-recent-samples-rejected", number(data[1][at]), number(data[2][at])),
     },
     points,
     span,
@@ -246,7 +247,7 @@ export function classPlot(classes, points, span) {
   const names = classes.map((name) => `class/${name}`);
   return new Plot(
     {
-      title: "Plausibility of the model classes",
+      title: t("plausibility-of-the-model-classes"),
       file: "classes",
       legend: classes.map((name, index) => ({ name, colour: `${COLOURS[index % COLOURS.length]}-fill` })),
       unit: AXES.plausibility,
@@ -282,7 +283,7 @@ export function nodePlot(nodes, points, span) {
   const names = nodes.map((name) => `node/${name}`);
   return new Plot(
     {
-      title: "Nodes: distance from the others",
+      title: t("nodes-distance-from-the-others"),
       file: "nodes",
       legend: nodes.map((name, index) => ({ name, ...look(index) })),
       unit: AXES.distance,

@@ -2,12 +2,14 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { PlotGroup } from "./groups.js";
+import { t } from "./language.js";
 import { NodeTable } from "./nodes.js";
 import { conditionPlot, nodePlot, outlierPlot, waveformPlot } from "./plots.js";
 import { searchField } from "./search.js";
 import { Scale } from "./span.js";
 import { Spectra, spectrumPlot } from "./spectra.js";
-import { COLUMNS, HEALTH, clockWords, compared, conditionWords, levelWords, natural, number, percent, time, unit } from "./words.js";
+import { spectrogramPlot } from "./spectrogram.js";
+import { COLUMNS, HEALTH, clockWords, compared, conditionWords, levelWords, natural, number, percent, time, unit, wordOf } from "./words.js";
 
 export class SensorsTab {
   key = "sensors";
@@ -22,9 +24,9 @@ export class SensorsTab {
     this.sensors = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, sensor]));
     this.rows = h("tbody");
     const heads = h("tr", {}, COLUMNS.sensors.map((text) => h("th", { scope: "col" }, text)));
-    const scroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Sensors" };
-    this.search = searchField(this.sensors.size, "Find a sensor", () => this.update(page.standing()));
-    const rate = `All channels have ${number(about.sampling_rate_hz)} samples per second.`;
+    const scroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("sensors") };
+    this.search = searchField(this.sensors.size, t("find-a-sensor"), () => this.update(page.standing()));
+    const rate = t("all-channels-have-samples-per-second", number(about.sampling_rate_hz));
     this.nodes = new NodeTable();
     this.conditionList = h("ul", { class: "sensor-list", id: "conditions" });
     this.levels = h("tbody");
@@ -32,25 +34,25 @@ export class SensorsTab {
     this.spectra = new Spectra(page.name);
     this.spectra.band.onchange(() => this.groups.spectra.plots.forEach((plot) => plot.dirty()));
     this.groups = {
-      waveforms: new PlotGroup("waveforms", "Waveforms", "The samples, between the minimum and the maximum of each tenth of a second, or of a longer part in a long span. A gap has no samples. Sensors with the same unit share a scale, here and below."),
-      spectra: new PlotGroup("spectra", "Spectra", "Power spectral density of about the last minute (Welch, Hann windows), without the mean. The lines mark natural frequencies that are known."),
-      nodes: new PlotGroup("nodes", "Distributed nodes", "A node far beyond the red dashed limit disagrees with the others."),
-      outliers: new PlotGroup("outliers", "Outliers"),
-      conditions: new PlotGroup("conditions", "Conditions", "Slow quantities that instruments measure beside the motion. Each value is a point."),
+      waveforms: new PlotGroup("waveforms", t("waveforms"), t("the-samples-between-the-minimum-and-the")),
+      spectra: new PlotGroup("spectra", t("spectra"), t("power-spectral-density-of-about-the-last")),
+      nodes: new PlotGroup("nodes", t("distributed-nodes"), t("a-node-far-beyond-the-red-dashed")),
+      outliers: new PlotGroup("outliers", t("outliers")),
+      conditions: new PlotGroup("conditions", t("conditions"), t("slow-quantities-that-instruments-measure-beside-the")),
     };
     this.groups.nodes.holder.before(this.nodes.element);
     this.groups.conditions.holder.before(this.conditionList);
     for (const condition of about.conditions) this.groups.conditions.add(condition.name, () => conditionPlot(condition, page.points, page.span));
     const levelHeads = h("tr", {}, COLUMNS.levels.map((text) => h("th", { scope: "col" }, text)));
-    const levelScroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": "Samples of the last minute" };
-    const scale = h("label", { class: "check" }, this.own, "each plot with its own scale");
-    const levelText = "RMS and peak are differences from the mean.";
+    const levelScroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("samples-of-the-last-minute") };
+    const scale = h("label", { class: "check" }, this.own, t("each-plot-with-its-own-scale"));
+    const levelText = t("rms-and-peak-are-differences-from-the");
     this.groups.waveforms.holder.before(scale);
-    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, "Samples of the last minute"), h("p", { class: "group-text" }, levelText), h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
+    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), h("p", { class: "group-text" }, levelText), h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
     this.element = h(
       "div",
       {},
-      h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, "Sensors"), this.search.element), h("p", { class: "group-text" }, rate), h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))),
+      h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), this.search.element), h("p", { class: "group-text" }, rate), h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))),
       this.samples,
       Object.values(this.groups).map(({ element }) => element),
     );
@@ -121,7 +123,9 @@ export class SensorsTab {
     const modes = () => (this.page.standing().modes ?? []).map(({ mode, estimate, declared_hz: declared }) => ({ name: mode, frequency: estimate?.frequency_hz ?? declared }));
     for (const channel of this.spectra.channels) {
       const sensor = this.sensors.get(channel);
-      if (sensor) this.groups.spectra.add(channel, () => spectrumPlot(sensor, this.spectra, this.#shared("spectrum", sensor), modes));
+      if (!sensor) continue;
+      this.groups.spectra.add(channel, () => spectrumPlot(sensor, this.spectra, this.#shared("spectrum", sensor), modes));
+      this.groups.spectra.add(channel, () => spectrogramPlot(sensor, this.spectra.history, this.page.span, modes), "over time");
     }
     this.groups.spectra.plots.forEach((plot) => plot.dirty());
   }
@@ -164,7 +168,7 @@ export class SensorsTab {
     const { offset, clock } = clockWords(sensor.clock, isReported);
     element.dataset.level = health.level;
     element.dataset.channel = sensor.channel;
-    const texts = [sensor.channel, about ? `${about.quantity.replaceAll("-", " ")}, ${unit(about.unit)}` : "–", sensor.node, `${health.sign} ${health.word}`, sensor.last_used_s == null ? "–" : time(sensor.last_used_s), relation, fault, offset, clock, outlier ? percent(outlier.recent_share) : "–"];
+    const texts = [sensor.channel, about ? `${wordOf(about.quantity)}, ${unit(about.unit)}` : "–", sensor.node, `${health.sign} ${health.word}`, sensor.last_used_s == null ? "–" : time(sensor.last_used_s), relation, fault, offset, clock, outlier ? percent(outlier.recent_share) : "–"];
     texts.forEach((text, column) => {
       setText(cells[column], text);
       cells[column].classList.toggle("is-none", text === "–");

@@ -1,6 +1,7 @@
 // The tab of the settings in force: the rates and rules of the structure file, and the services.
 
 import { h, keyed, setText } from "./dom.js";
+import { t } from "./language.js";
 import { COLUMNS, lag, natural, number, percent, unit } from "./words.js";
 
 export class SettingsTab {
@@ -13,31 +14,31 @@ export class SettingsTab {
     const heads = (columns) => h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text))));
     const scroll = (label) => ({ class: "scroll", tabindex: "0", role: "region", "aria-label": label });
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", {}, text))));
-    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), `more than ${percent(loss)}`, String(credibility), `${number(sustain_s)} s`]));
+    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", percent(loss)), String(credibility), `${number(sustain_s)} s`]));
     const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
-    const range = ({ name, unit: of, range }) => (range ? `${name} (${range[0]} to ${range[1]} ${unit(of)})` : `${name} (${unit(of)})`);
+    const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
     this.element = h(
       "div",
       {},
       h(
         "section",
         { class: "card" },
-        h("h2", {}, "Structure file"),
+        h("h2", {}, t("structure-file")),
         h("p", { class: "description" }, about.description),
         h(
           "dl",
           { class: "facts" },
-          fact("Sampling rate", `${number(about.sampling_rate_hz)} Hz`),
-          fact("Display rate", `${number(about.display_rate_hz)} Hz`),
-          fact("Identification", about.distributed ? "by each node, combined by a station" : "in one place"),
-          fact("Parameters", String(about.parameters.length)),
-          fact("Channels", String(about.drawing.sensors.length)),
-          fact("Noise levels", about.noise.map(({ name }) => name).sort(natural).join(", ") || "none"),
-          fact("Conditions", about.conditions.map(range).join(", ") || "none"),
+          fact(t("sampling-rate"), `${number(about.sampling_rate_hz)} Hz`),
+          fact(t("display-rate"), `${number(about.display_rate_hz)} Hz`),
+          fact(t("identification"), about.distributed ? t("by-each-node-combined-by-a-station") : t("in-one-place")),
+          fact(t("parameters"), String(about.parameters.length)),
+          fact(t("channels"), String(about.drawing.sensors.length)),
+          fact(t("noise-levels"), about.noise.map(({ name }) => name).sort(natural).join(", ") || t("none")),
+          fact(t("conditions"), about.conditions.map(range).join(", ") || t("none")),
         ),
       ),
-      h("section", { class: "card" }, h("h2", {}, "Alert rules"), rules.length > 0 ? h("div", scroll("Alert rules"), h("table", {}, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, "The structure file contains no rule.")),
-      h("section", { class: "card" }, h("h2", {}, "Services"), h("div", scroll("Services"), h("table", { class: "services" }, heads(COLUMNS.services), this.services))),
+      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", {}, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, t("the-structure-file-contains-no-rule"))),
+      h("section", { class: "card" }, h("h2", {}, t("services")), h("div", scroll(t("services")), h("table", { class: "services" }, heads(COLUMNS.services), this.services))),
     );
   }
 
@@ -48,7 +49,7 @@ export class SettingsTab {
     };
     keyed(this.services, services, (service) => `${service.service}/${service.id}`, make, ({ cells }, { service, id, present, lag_s, status }) => {
       const drops = Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`);
-      const texts = [service === id ? service : `${service} ${id}`, present ? "● alive" : "✕ gone", lag(lag_s), status ? String(status.done) : "–", drops.join(", ") || "nothing"];
+      const texts = [service === id ? service : `${service} ${id}`, present ? t("service-alive") : t("service-gone"), lag(lag_s), status ? String(status.done) : "–", drops.join(", ") || t("nothing")];
       texts.forEach((text, column) => setText(cells[column], text));
     });
   }

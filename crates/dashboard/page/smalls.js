@@ -1,15 +1,19 @@
-// Small plots of many parameters, so that all of them fit a screen. They are drawn once a second,
-// with few points.
+// Small plots of many parameters, so that all of them fit a screen. They are drawn at most once a
+// second, with few points, and only in the window.
 
 import { h, setText } from "./dom.js";
+import { t } from "./language.js";
 import { css } from "./plot.js";
 import { Points } from "./span.js";
 import { ratio, stateOf } from "./words.js";
 
 /** Number of points of each parameter. A small plot is about as wide (px). */
 const POINTS = 150;
-/** Interval between two drawings (ms). */
-const DRAW_EVERY_MS = 1000;
+/**
+ * Shortest and longest interval between two drawings (ms). In a long span, a second is less than a
+ * point.
+ */
+const [DRAW_EVERY_MS, DRAW_AT_LEAST_EVERY_MS] = [1000, 10_000];
 /** Smallest width, and smallest and largest height, of a small plot (px). */
 const NARROWEST = 128;
 const LOWEST = 86;
@@ -33,7 +37,7 @@ const LEAST_ROOM = 0.005;
 export class SmallPlots {
   #parts;
   #isFetched = false;
-  #drawnAt = 0;
+  #drawnAt = -Infinity;
 
   constructor(page, choose) {
     this.page = page;
@@ -45,10 +49,16 @@ export class SmallPlots {
     });
     this.limits = h("p", { class: "group-text", id: "small-scale" });
     this.grid = h("div", { class: "smalls" }, this.#parts.map(({ element }) => element));
-    this.none = h("p", { class: "empty", hidden: true }, "No part matches the search.");
+    this.none = h("p", { class: "empty", hidden: true }, t("no-part-matches-the-search"));
     this.element = h("div", {}, this.grid, this.none, this.limits);
     this.resized = new ResizeObserver(() => this.#arrange());
     this.resized.observe(this.grid);
+    const parts = new Map(this.#parts.map((part) => [part.element, part]));
+    this.seen = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) parts.get(target).isSeen = isIntersecting;
+      this.#drawnAt = -Infinity;
+    });
+    for (const element of parts.keys()) this.seen.observe(element);
   }
 
   /** Shows only the parameters whose names `finds` accepts. */
@@ -56,7 +66,7 @@ export class SmallPlots {
     for (const { parameter, element } of this.#parts) element.hidden = !finds(parameter.name);
     this.none.hidden = this.#shown.length > 0;
     this.#arrange();
-    this.#drawnAt = 0;
+    this.#drawnAt = -Infinity;
   }
 
   /** Marks the parameter whose details are shown. */
@@ -68,11 +78,11 @@ export class SmallPlots {
     for (const { parameter, element, value, state } of this.#parts) {
       const shown = standing.parameters[parameter.name];
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
-      const of = alert ? stateOf(alert) : { level: "learning", sign: "", word: "no decision" };
+      const of = alert ? stateOf(alert) : { level: "learning", sign: "", word: t("no-decision") };
       element.dataset.level = of.level;
       setText(state, of.sign);
       setText(value, shown ? ratio(shown.mean) : "–");
-      element.setAttribute("aria-label", `${parameter.name}: ${shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "no estimate"}, ${of.word}`);
+      element.setAttribute("aria-label", `${parameter.name}: ${shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : t("no-estimate")}, ${of.word}`);
     }
   }
 
@@ -86,12 +96,15 @@ export class SmallPlots {
     this.#isFetched = false;
     this.points.fetch(this.#parts.map(({ name }) => name)).catch(() => false).then(() => {
       this.#isFetched = true;
-      this.#drawnAt = 0;
+      this.#drawnAt = -Infinity;
     });
   }
 
-  draw() {
-    if (!this.#isFetched || performance.now() - this.#drawnAt < DRAW_EVERY_MS) return;
+  /** Draws the plots in the window if it is time, or all plots for a print. */
+  draw({ isPrint = false } = {}) {
+    const { min, max } = this.page.span.shown;
+    const interval = Math.min(Math.max((500 * (max - min)) / POINTS, DRAW_EVERY_MS), DRAW_AT_LEAST_EVERY_MS);
+    if (!isPrint && (!this.#isFetched || performance.now() - this.#drawnAt < interval)) return;
     this.#drawnAt = performance.now();
     const shown = this.#shown.map((part) => ({ ...part, columns: this.points.columns(part.name) }));
     const ranges = shown.map((part) => this.#range(part));
@@ -99,8 +112,8 @@ export class SmallPlots {
     const stiff = ranges.filter((range, index) => range && shown[index].parameter.stiffness);
     const shared = stiff.length > 0 ? [Math.min(...stiff.map(([low]) => low)), Math.max(...stiff.map(([, high]) => high))] : null;
     const colours = Object.fromEntries(["--line-1", "--band-95", "--alarm", "--grid", "--ink-soft"].map((name) => [name, css(name)]));
-    shown.forEach((part, index) => this.#paint(part, scale.isCommon && part.parameter.stiffness ? shared : ranges[index], colours));
-    setText(this.limits, scale.isCommon && shared ? `Common scale of all stiffnesses: ${ratio(shared[0])} to ${ratio(shared[1])}.` : "Each plot has its own scale.");
+    shown.forEach((part, index) => (isPrint || part.isSeen) && this.#paint(part, scale.isCommon && part.parameter.stiffness ? shared : ranges[index], colours));
+    setText(this.limits, scale.isCommon && shared ? t("common-scale-of-all-stiffnesses-to", ratio(shared[0]), ratio(shared[1])) : t("each-plot-has-its-own-scale"));
   }
 
   get #shown() {
@@ -191,6 +204,6 @@ export class SmallPlots {
     // A name is more important than the value, which the label contains too.
     this.grid.classList.remove("is-tight");
     this.grid.classList.toggle("is-tight", this.#shown.some(({ element }) => element.firstChild.scrollWidth > element.firstChild.clientWidth));
-    this.#drawnAt = 0;
+    this.#drawnAt = -Infinity;
   }
 }

@@ -1,5 +1,7 @@
 // The time span that all plots of a page share, and the points within it.
 
+import { t } from "./language.js";
+
 /** Number of points to request per series, about the number of columns of a plot. */
 const POINTS = 1000;
 /** Number of points above which a series is refetched, combined by the server. */
@@ -8,13 +10,13 @@ const MOST_POINTS = 3000;
 export const DAY_S = 86400;
 /** Selectable lengths (s). */
 export const LENGTHS = [
-  [60, "1 min"],
-  [600, "10 min"],
+  [60, t("1-min")],
+  [600, t("10-min")],
   [3600, "1 h"],
-  [DAY_S, "1 day"],
-  [30 * DAY_S, "1 month"],
-  [365 * DAY_S, "1 year"],
-  [10 * 365 * DAY_S, "10 years"],
+  [DAY_S, t("1-day")],
+  [30 * DAY_S, t("1-month")],
+  [365 * DAY_S, t("1-year")],
+  [10 * 365 * DAY_S, t("10-years")],
 ];
 
 /** The visible time span: the newest data of a given length, or a fixed range. */

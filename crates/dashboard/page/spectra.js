@@ -1,6 +1,8 @@
 // The spectra of the samples of the last minute: fetched while their tab is open, and plotted.
 
+import { t } from "./language.js";
 import { Plot, css } from "./plot.js";
+import { SpectrumHistory } from "./spectrogram.js";
 import { number, unit } from "./words.js";
 import { Extent } from "./year.js";
 
@@ -25,6 +27,8 @@ export class Spectra {
 
   constructor(structure) {
     this.structure = structure;
+    /** The spectra since the tab was opened. */
+    this.history = new SpectrumHistory(structure, () => this.fetch());
   }
 
   /** Names of the channels with a spectrum. */
@@ -40,7 +44,7 @@ export class Spectra {
   /** Returns the windows of a channel in words. */
   words(channel) {
     const { windows, window_s: length } = this.#channels.get(channel);
-    return `mean of ${windows} ${windows === 1 ? "window" : "windows"} of ${number(length)} s`;
+    return t("mean-of-of-s", windows, windows === 1 ? t("window") : t("windows"), number(length));
   }
 
   /** Returns the address of the spectrum of a channel as CSV. */
@@ -64,10 +68,13 @@ export class Spectra {
     if (!response.ok) return false;
     const { nodes } = await response.json();
     this.#channels.clear();
-    for (const { frequencies_hz: frequencies, window_s, channels } of nodes) {
+    for (const { frequencies_hz: frequencies, window_s, time_ns, channels } of nodes) {
       this.band.all = [frequencies[0], frequencies.at(-1)];
       for (const { channel, windows, density } of channels) {
-        if (windows > 0) this.#channels.set(channel, { windows, window_s, columns: [frequencies, density.map((one) => (one > 0 ? one : null))] });
+        if (windows === 0) continue;
+        const densities = density.map((one) => (one > 0 ? one : null));
+        this.#channels.set(channel, { windows, window_s, columns: [frequencies, densities] });
+        this.history.add(channel, time_ns / 1e9, frequencies, densities);
       }
     }
     return true;
@@ -87,7 +94,7 @@ export function spectrumPlot(sensor, spectra, shared, modes) {
       unit: of,
       names: [sensor.channel],
       isLogarithmic: true,
-      across: () => "frequency (Hz)",
+      across: () => t("frequency-hz"),
       rows: (columns) => columns.get(sensor.channel),
       series: () => [{ stroke: () => css("--line-1"), width: 1.5 }],
       range: (_, least, largest) => {

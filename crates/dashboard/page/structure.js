@@ -1,8 +1,10 @@
 // One structure: why it needs attention, and tabs with its parts, sensors, events and settings.
 
 import { AcknowledgeDialog } from "./alerts.js";
+import { CompareTab } from "./compare.js";
 import { h, keyed, setText } from "./dom.js";
 import { EventsTab } from "./events.js";
+import { t } from "./language.js";
 import { LastingTab } from "./lasting.js";
 import { ModelTab } from "./model.js";
 import { NowTab } from "./now.js";
@@ -13,12 +15,10 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { LEVELS, TABS, addressOf, canBeSeen, fitWord, lag, place, setSentence, spanOf, time } from "./words.js";
+import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, canBeSeen, fitWord, lag, place, reportOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
-/** Time shown on each side of a moment that a link leads to (s). */
-const AROUND_S = 60;
 
 export class StructurePage {
   #standing = null;
@@ -34,8 +34,8 @@ export class StructurePage {
     this.points = new Points(name, this.span);
     this.scale = new Scale();
     this.head = h("div", { class: "attention" });
-    this.body = h("div", {}, h("p", { class: "empty" }, "Loading …"));
-    this.element = h("div", { class: "structure" }, h("h1", {}, h("a", { class: "crumb", href: "#/" }, "Structures"), " / ", name), this.head, this.body);
+    this.body = h("div", {}, h("p", { class: "empty" }, t("loading")));
+    this.element = h("div", { class: "structure" }, h("h1", {}, h("a", { class: "crumb", href: "#/" }, t("structures")), " / ", name), this.head, this.body);
     this.dialog = new AcknowledgeDialog();
     this.#leave = [
       connection.on("structure", ({ standing }) => this.#show(standing)),
@@ -48,7 +48,10 @@ export class StructurePage {
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => this.tabs?.forEach((of) => of.plots.forEach((plot) => plot.recolour()));
     this.scheme.addEventListener("change", this.recolour);
-    this.print = () => this.#current?.plots.forEach((plot) => plot.drawNow());
+    this.print = () => {
+      this.#current?.plots.forEach((plot) => plot.drawNow());
+      this.#current?.draw?.({ isPrint: true });
+    };
     addEventListener("beforeprint", this.print);
     this.timer = setInterval(() => this.#draw(), DRAW_EVERY_MS);
     this.span.onchange(() => this.#respan());
@@ -82,7 +85,7 @@ export class StructurePage {
       const answer = await response.json();
       if (!response.ok) {
         this.connection.listen(null);
-        this.body.replaceChildren(h("p", { class: "empty" }, `${answer.error}; ${answer.allowed}. `, h("a", { href: "#/" }, "All structures")));
+        this.body.replaceChildren(h("p", { class: "empty" }, `${answer.error}; ${answer.allowed}. `, h("a", { href: "#/" }, t("link-all-structures"))));
         return;
       }
       if (!this.#isOpen) return;
@@ -95,7 +98,7 @@ export class StructurePage {
       this.connection.listen(this.name);
     } catch (error) {
       if (this.about) throw error; // a mistake in the page, not in the connection
-      this.body.replaceChildren(h("p", { class: "empty" }, "Cannot reach Spandrel. Retrying …"));
+      this.body.replaceChildren(h("p", { class: "empty" }, t("cannot-reach-spandrel-retrying")));
       setTimeout(() => this.#isOpen && this.#load(parameters), 2000);
     }
   }
@@ -113,10 +116,10 @@ export class StructurePage {
       changed: () => this.#remember(),
     };
     const { has_model: hasModel } = this.about;
-    this.tabs = [new NowTab(page), ...(hasModel ? [new ParametersTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(hasModel ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
+    this.tabs = [new NowTab(page), ...(hasModel ? [new ParametersTab(page)] : []), ...(this.about.parameters.length + this.about.modes.length > 0 ? [new CompareTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(hasModel ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
     if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
-    this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), `Views of ${this.name}`, (key) => this.#open(key));
-    this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]));
+    this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), t("views-of", this.name), (key) => this.#open(key));
+    this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), { report: () => reportOf([this.name], this.span.shown.min, this.span.shown.max) });
     this.body.replaceChildren(h("div", { class: "sticky" }, this.bar.list, this.ranges.element), ...this.bar.panels, this.dialog.element);
   }
 
@@ -143,7 +146,7 @@ export class StructurePage {
   }
 
   #address() {
-    return addressOf({ structure: this.name, tab: this.tab, parameter: this.#current?.chosen, span: this.#current?.span ?? this.span, isOwnScale: !this.scale.isCommon });
+    return addressOf({ structure: this.name, tab: this.tab, parameter: this.#current?.chosen, span: this.#current?.span ?? this.span, isOwnScale: !this.scale.isCommon, more: this.#current?.query });
   }
 
   /**
@@ -162,7 +165,7 @@ export class StructurePage {
     const { sensors } = overview;
     const raised = (this.#standing?.alerts ?? []).filter(canBeSeen);
     const badge = (name) => h("span", { class: "badge", "data-level": name });
-    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence" }), now: h("p", { class: "now" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
+    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
     const { parts } = this;
     if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.now, parts.actions, parts.facts);
     setText(parts.badge, `${level.sign} ${level.word}`);
@@ -170,13 +173,13 @@ export class StructurePage {
     showNow(parts.now, overview.now, overview.age_s);
     showAcknowledged(parts.seen, overview);
     showStale(parts.stale, overview);
-    const facts = [`Data: ${age(overview)}${overview.time_s ? `, measured ${time(overview.time_s)}` : ""}`, overview.replayed ? lag(null, true) : `lag ${lag(overview.lag_s)}`, `sensors alive ${sensors.alive} of ${sensors.total}`, ...(overview.has_model ? [`monitoring: ${overview.monitoring ?? "unknown"}`, `fit: ${fitWord(overview.fit)}`] : ["no model: natural frequencies only"])];
+    const facts = [t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
     keyed(parts.facts, facts, (text) => facts.indexOf(text), () => ({ element: h("span") }), ({ element }, text) => setSentence(element, text));
     keyed(
       parts.actions,
       raised,
       (alert) => alert.parameter,
-      (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, `Acknowledge ${alert.parameter}`) }),
+      (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, t("acknowledge-part", alert.parameter)) }),
       () => {},
     );
     this.tabs?.[0].attend(overview);
@@ -235,7 +238,7 @@ export class StructurePage {
     if (span?.length_s) shown.live(span.length_s);
     else if (span) shown.fix(span.from_s, span.to_s);
     else if (!shown.isLive || shown.length_s !== shown.usual_s) shown.live(shown.usual_s);
-    this.#current.goto?.(parameters.get("quantity") ?? parameter);
+    this.#current.goto?.(parameters.get("quantity") ?? parameter, parameters);
     this.#remember();
   }
 }

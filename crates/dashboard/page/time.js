@@ -1,6 +1,7 @@
 // Times: the zone in which the page shows them, and all of their formats.
 
 import { h } from "./dom.js";
+import { t } from "./language.js";
 
 /** Key of the chosen zone in local storage. */
 const ZONE_KEY = "spandrel-zone";
@@ -90,7 +91,7 @@ export function duration(seconds) {
   if (size < 120) return `${Math.round(size)} s`;
   if (size < 7200) return `${Math.round(size / 60)} min`;
   if (size < 48 * 3600) return `${Math.round(size / 3600)} h`;
-  return `${Math.round(size / 86400)} days`;
+  return t("days", Math.round(size / 86400));
 }
 
 /**

@@ -1,48 +1,51 @@
 // Names of states and formats of numbers. The formats of times and addresses are beside it.
 
+import { t, wordOf } from "./language.js";
 import { duration, time } from "./time.js";
 
 export * from "./address.js";
+export { SERVICES, wordOf } from "./language.js";
 export * from "./time.js";
 
 /** Names and signs of the levels of attention. Sign and word distinguish them without colour. */
 export const LEVELS = {
-  alarm: { sign: "▲", word: "Alarm" },
-  stale: { sign: "✕", word: "No data" },
-  warning: { sign: "◆", word: "Warning" },
-  notice: { sign: "●", word: "Seen" },
-  undecided: { sign: "?", word: "Undecided" },
-  learning: { sign: "…", word: "Learning" },
-  normal: { sign: "✓", word: "Normal" },
+  alarm: { sign: "▲", word: t("level-alarm") },
+  stale: { sign: "✕", word: t("level-stale") },
+  warning: { sign: "◆", word: t("warning") },
+  notice: { sign: "●", word: t("seen") },
+  undecided: { sign: "?", word: t("level-undecided") },
+  learning: { sign: "…", word: t("level-learning") },
+  normal: { sign: "✓", word: t("level-normal") },
 };
 
 /** Names of the tabs of a structure, and the texts above their contents. */
-export const TABS = { now: "Now", parameters: "Parameters", lasting: "Lasting change", model: "Model", sensors: "Sensors", events: "Events", settings: "Settings" };
+export const TABS = { now: t("now"), parameters: t("parameters"), compare: t("compare"), lasting: t("lasting-change"), model: t("model"), sensors: t("sensors"), events: t("events"), settings: t("settings") };
 
 /** Titles of the columns of the tables. */
 export const COLUMNS = {
-  parts: ["Part", "State", "Estimate", "95 % interval", "Probability of loss"],
-  sensors: ["Sensor", "Quantity", "Node", "State", "Last sample used", "Compared with the others", "Probability of a fault", "Sampling instant", "Clock", "Rejected"],
-  levels: ["Sensor", "State", "Samples per second", "Mean", "RMS", "Peak", "Last sample"],
-  events: ["Time", "About", "What happened", ""],
-  services: ["Service", "State", "Lag", "Items processed", "Dropped or corrected"],
-  delays: ["Loss of stiffness", "Found after (median)", "Found within 30 days"],
-  rules: ["Parameters", "Loss", "Probability required", "Duration required"],
+  parts: [t("part"), t("state"), t("estimate"), t("95-per-cent-interval"), t("probability-of-loss")],
+  sensors: [t("sensor"), t("quantity"), t("node"), t("state"), t("last-sample-used"), t("compared-with-the-others"), t("probability-of-a-fault"), t("sampling-instant"), t("clock"), t("rejected")],
+  differences: [t("quantity"), t("first-mean"), t("second-mean"), t("difference"), t("95-per-cent-interval"), t("result")],
+  levels: [t("sensor"), t("state"), t("samples-per-second"), t("mean"), t("rms"), t("peak"), t("last-sample")],
+  events: [t("time"), t("about"), t("what-happened"), ""],
+  services: [t("service"), t("state"), t("lag"), t("items-processed"), t("dropped-or-corrected")],
+  delays: [t("loss-of-stiffness"), t("found-after-median"), t("found-within-30-days")],
+  rules: [t("parameters"), t("loss"), t("probability-required"), t("duration-required")],
 };
 
 /** Titles of the axes. All of these quantities have no unit. */
 export const AXES = {
-  stiffness: "stiffness / design stiffness",
-  ratio: "value / design value",
-  plausibility: "plausibility",
-  distance: "distance from the others",
-  consistency: "per channel",
-  damping: "noise level ψ",
+  stiffness: t("stiffness-design-stiffness"),
+  ratio: t("value-design-value"),
+  plausibility: t("plausibility"),
+  distance: t("distance-from-the-others"),
+  consistency: t("per-channel"),
+  damping: t("noise-level-psi"),
 };
 
 /** Words for a parameter without a state. */
-export const NO_RULE = "– no alert rule";
-export const NOT_STIFFNESS = "not a stiffness";
+export const NO_RULE = t("no-alert-rule");
+export const NOT_STIFFNESS = t("not-a-stiffness");
 
 /** Number of parts or structures above which a search field is shown. */
 export const SEARCH_ABOVE = 12;
@@ -56,15 +59,15 @@ export function natural(a, b) {
 
 /** Names, signs and levels of the states of an alert. */
 export const STATES = {
-  raised: { sign: "▲", word: "raised", level: "alarm" },
-  unconfirmed: { sign: "△", word: "unconfirmed", level: "alarm" },
-  pending: { sign: "◆", word: "pending", level: "warning" },
-  "softening-in-motion": { sign: "≈", word: "softening in motion", level: "notice" },
-  acknowledged: { sign: "●", word: "acknowledged", level: "notice" },
-  cleared: { sign: "○", word: "cleared", level: "notice" },
-  undecided: { sign: "?", word: "undecided", level: "learning" },
-  learning: { sign: "…", word: "learning", level: "learning" },
-  normal: { sign: "✓", word: "normal", level: "normal" },
+  raised: { sign: "▲", word: t("raised"), level: "alarm" },
+  unconfirmed: { sign: "△", word: t("unconfirmed"), level: "alarm" },
+  pending: { sign: "◆", word: t("pending"), level: "warning" },
+  "softening-in-motion": { sign: "≈", word: t("softening-in-motion"), level: "notice" },
+  acknowledged: { sign: "●", word: t("state-acknowledged"), level: "notice" },
+  cleared: { sign: "○", word: t("cleared"), level: "notice" },
+  undecided: { sign: "?", word: t("state-undecided"), level: "learning" },
+  learning: { sign: "…", word: t("state-learning"), level: "learning" },
+  normal: { sign: "✓", word: t("state-normal"), level: "normal" },
 };
 
 /** Signs and levels of the verdicts on the fit. */
@@ -76,23 +79,23 @@ export const FITS = {
 
 /** Names, signs and levels of the health of sensors. */
 export const HEALTH = {
-  alive: { sign: "●", word: "delivers", level: "normal" },
-  gone: { sign: "✕", word: "gone", level: "warning" },
-  silent: { sign: "✕", word: "silent", level: "warning" },
-  "wrong-clock": { sign: "✕", word: "wrong clock, not used", level: "warning" },
-  "in-doubt": { sign: "▲", word: "in doubt", level: "warning" },
-  faulty: { sign: "▲", word: "faulty, not used", level: "warning" },
-  excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
-  ended: { sign: "■", word: "record has ended", level: "learning" },
-  unknown: { sign: "○", word: "not known yet", level: "learning" },
+  alive: { sign: "●", word: t("delivers"), level: "normal" },
+  gone: { sign: "✕", word: t("state-gone"), level: "warning" },
+  silent: { sign: "✕", word: t("silent"), level: "warning" },
+  "wrong-clock": { sign: "✕", word: t("wrong-clock-not-used"), level: "warning" },
+  "in-doubt": { sign: "▲", word: t("in-doubt"), level: "warning" },
+  faulty: { sign: "▲", word: t("faulty-not-used"), level: "warning" },
+  excluded: { sign: "◆", word: t("excluded-disagrees-with-the-others"), level: "warning" },
+  ended: { sign: "■", word: t("record-has-ended"), level: "learning" },
+  unknown: { sign: "○", word: t("not-known-yet"), level: "learning" },
 };
 
 /** Names, signs and levels of the states of distributed nodes. */
 export const NODES = {
-  used: { sign: "●", word: "alive", level: "normal" },
-  silent: { sign: "○", word: "silent", level: "warning" },
-  excluded: { sign: "◆", word: "excluded: disagrees with the others", level: "warning" },
-  ended: { sign: "■", word: "ended", level: "learning" },
+  used: { sign: "●", word: t("node-alive"), level: "normal" },
+  silent: { sign: "○", word: t("silent"), level: "warning" },
+  excluded: { sign: "◆", word: t("excluded-disagrees-with-the-others"), level: "warning" },
+  ended: { sign: "■", word: t("ended"), level: "learning" },
 };
 
 /** Returns the level of an alert. An acknowledged alert is not an alarm. */
@@ -103,7 +106,7 @@ export function levelOf(alert) {
 /** Returns sign, word and level of a parameter: normal only if damage would be noticed. */
 export function stateOf(alert) {
   const { sign, word } = STATES[alert.state];
-  if (alert.state === "normal" && alert.unwatched) return { sign: "○", word: alert.unwatched.state, level: "warning" };
+  if (alert.state === "normal" && alert.unwatched) return { sign: "○", word: wordOf(alert.unwatched.state), level: "warning" };
   return { sign, word, level: levelOf(alert) };
 }
 
@@ -114,16 +117,16 @@ export function canBeSeen(alert) {
 
 /** Returns the verdict on the fit in one word. */
 export function fitWord(verdict) {
-  return verdict ? `${FITS[verdict].sign} ${verdict}` : "not judged";
+  return verdict ? `${FITS[verdict].sign} ${wordOf(verdict)}` : t("not-judged");
 }
 
 /** Steps of the probability of loss, shared by the drawing and its key. */
 export const STEPS = [
-  { below: 0.05, text: "below 5 %" },
-  { below: 0.5, text: "5 to 50 %" },
-  { below: 0.95, text: "50 to 95 %" },
-  { below: 0.99, text: "95 to 99 %" },
-  { below: Infinity, text: "99 % and above" },
+  { below: 0.05, text: t("below-5-per-cent") },
+  { below: 0.5, text: t("5-to-50-per-cent") },
+  { below: 0.95, text: t("50-to-95-per-cent") },
+  { below: 0.99, text: t("95-to-99-per-cent") },
+  { below: Infinity, text: t("99-per-cent-and-above") },
 ];
 
 /** Returns the step of a probability, or null if it is unknown. */
@@ -182,33 +185,33 @@ export function bytes(count) {
  * simulation.
  */
 export function lag(seconds, replayed) {
-  if (replayed) return "replayed or simulated";
+  if (replayed) return t("replayed-or-simulated");
   if (seconds === null) return "–";
-  if (seconds < -1) return `−${duration(seconds)} (ahead of time)`;
+  if (seconds < -1) return t("ahead-of-time", duration(seconds));
   return duration(Math.max(seconds, 0));
 }
 
 /** Returns the name of a channel with its quantity, as in the structure file. */
 export function sensorName({ channel, quantity, unit: of }) {
-  return `${channel} (${quantity.replaceAll("-", " ")}, ${unit(of)})`;
+  return `${channel} (${wordOf(quantity)}, ${unit(of)})`;
 }
 
 /** What the comparison of a channel with the others shows, if it is at fault. */
 const FAULTS = {
-  gain: ({ gain }) => `${number(gain)} times the motion of the others`,
-  sign: () => "opposite sign",
-  delay: ({ delay_s }) => `${Math.abs(1000 * delay_s).toFixed(0)} ms ${delay_s < 0 ? "before" : "after"} the others`,
-  dead: () => "does not follow the others",
-  disturbed: () => "measures something that the others do not",
-  drift: () => "its offset drifts",
-  clipped: () => "its peaks are cut off",
-  exchanged: () => "exchanged with another one",
+  gain: ({ gain }) => t("times-the-motion-of-the-others", number(gain)),
+  sign: () => t("opposite-sign"),
+  delay: ({ delay_s }) => t("ms-the-others", Math.abs(1000 * delay_s).toFixed(0), delay_s < 0 ? t("before") : t("after")),
+  dead: () => t("does-not-follow-the-others"),
+  disturbed: () => t("measures-something-that-the-others-do-not"),
+  drift: () => t("its-offset-drifts"),
+  clipped: () => t("its-peaks-are-cut-off"),
+  exchanged: () => t("exchanged-with-another-one"),
 };
 
 /** Returns how a channel compares with the others, in the columns of the table of sensors. */
 export function compared(channel) {
   if (!channel || channel.gain === null) return { relation: "–", fault: "–" };
-  const factor = `factor ${channel.gain.toFixed(2)}, delay ${(1000 * channel.delay_s).toFixed(0)} ms`;
+  const factor = t("factor-delay-ms", channel.gain.toFixed(2), (1000 * channel.delay_s).toFixed(0));
   return { relation: channel.fault ? FAULTS[channel.fault](channel) : factor, fault: probability(channel.probability) };
 }
 
@@ -217,13 +220,13 @@ export function compared(channel) {
  * `isReported` states whether ingest reports on clocks at all.
  */
 export function clockWords(clock, isReported) {
-  if (!clock) return isReported ? { offset: "at the frames", clock: "✓ agrees" } : { offset: "–", clock: "–" };
+  if (!clock) return isReported ? { offset: t("at-the-frames"), clock: t("agrees") } : { offset: "–", clock: "–" };
   const ms = (seconds) => `${(1000 * seconds).toFixed(2)} ms`;
-  const jitter = clock.jitter_s > 0 ? `, varies by ${ms(clock.jitter_s)}` : "";
-  const offset = `${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? "before" : "after"}${jitter}`;
+  const jitter = clock.jitter_s > 0 ? t("varies-by", ms(clock.jitter_s)) : "";
+  const offset = `${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? t("before") : t("after")}${jitter}`;
   const difference = clock.difference_s ?? 0;
-  if (!difference) return { offset, clock: "✓ agrees" };
-  return { offset: "–", clock: `▲ ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? "behind" : "ahead"}` };
+  if (!difference) return { offset, clock: t("agrees") };
+  return { offset: "–", clock: `▲ ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? t("behind") : t("ahead")}` };
 }
 
 /** Returns the samples of the last minute of a sensor, in the columns of their table. */
@@ -235,10 +238,10 @@ export function levelWords(level, of) {
 
 /** Returns the level, sign and words of a condition, such as a temperature. */
 export function conditionWords({ name, unit: of, value, age_s, stale, implausible, instrument }) {
-  if (value === null) return { level: "learning", text: `○ ${name}: no value yet` };
-  const fault = stale ? ", the next value is overdue" : implausible ? ", outside its plausible range" : "";
+  if (value === null) return { level: "learning", text: t("no-value-yet", name) };
+  const fault = stale ? t("the-next-value-is-overdue") : implausible ? t("outside-its-plausible-range") : "";
   const by = instrument ? ` (${instrument})` : "";
-  return { level: fault ? "warning" : "normal", text: `${fault ? "▲" : "●"} ${name}: ${number(value)} ${unit(of)}, ${duration(age_s)} ago${fault}${by}` };
+  return { level: fault ? "warning" : "normal", text: t("ago", fault ? "▲" : "●", name, number(value), unit(of), duration(age_s), fault, by) };
 }
 
 /** Returns the level, sign and words of a declared mode. */
@@ -248,10 +251,10 @@ export function modeWords({ mode, time_ns: end, state, partner, estimate, presen
   const parts = [`${LEVELS[level].sign} ${mode}:`];
   if (estimate) {
     const { frequency_hz: f, frequency_std_hz: std, damping, damping_std: dampingStd } = estimate;
-    parts.push(`${f.toFixed(4)} Hz [${(f - 1.96 * std).toFixed(4)}, ${(f + 1.96 * std).toFixed(4)}], damping ${percent(damping, 2)} ± ${percent(dampingStd, 2)}.`);
+    parts.push(t("hz-damping", f.toFixed(4), (f - 1.96 * std).toFixed(4), (f + 1.96 * std).toFixed(4), percent(damping, 2), percent(dampingStd, 2)));
   }
-  parts.push(`${state}${partner ? ` with ${partner}` : ""} in the epoch to ${time(end / 1e9)}, found in ${percent(presence, 0)} of the last 20 epochs.`);
-  if (machine) parts.push("A machine runs at this frequency.");
+  parts.push(t("in-the-epoch-to-found-in-of", wordOf(state), partner ? t("with", partner) : "", time(end / 1e9), percent(presence, 0)));
+  if (machine) parts.push(t("a-machine-runs-at-this-frequency"));
   return { level, text: parts.join(" ") };
 }
 
@@ -259,14 +262,46 @@ export function modeWords({ mode, time_ns: end, state, partner, estimate, presen
 const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm" };
 
 /** Returns the level, sign and words of the judgement of a quantity. */
-export function judgementWords({ word, sentence, change, seen, epoch_ns: epoch, measured }) {
-  const level = seen ? "notice" : (JUDGEMENTS[word] ?? "learning");
-  const parts = [`${LEVELS[level].sign} ${word}: ${sentence}`];
-  if (change) parts.push(`Found on ${new Date(change.found_ns / 1e6).toISOString().slice(0, 10)}.`);
-  if (seen) parts.push(`Seen by ${seen.who}: ${seen.text}.`);
-  parts.push(epoch === null ? "No epoch yet." : `Last epoch ${time(epoch / 1e9)}.`);
-  if (!measured) parts.push("Contains replayed or simulated samples.");
+export function judgementWords({ word: judged, sentence, change, seen, epoch_ns: epoch, measured }) {
+  const level = seen ? "notice" : (JUDGEMENTS[judged] ?? "learning");
+  const parts = [`${LEVELS[level].sign} ${wordOf(judged)}: ${sentence}`];
+  if (change) parts.push(t("found-on", new Date(change.found_ns / 1e6).toISOString().slice(0, 10)));
+  if (seen) parts.push(t("judgement-seen-by", seen.who, seen.text));
+  parts.push(epoch === null ? t("no-epoch-yet") : t("last-epoch", time(epoch / 1e9)));
+  if (!measured) parts.push(t("contains-replayed-or-simulated-samples"));
   return { level, text: parts.join(" ") };
+}
+
+const signed = (value, digits) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+
+/** Returns a value of a compared quantity, with the decimals of its kind. */
+export function comparedValue(value, of) {
+  return of ? `${value.toFixed(4)} ${of}` : ratio(value);
+}
+
+/**
+ * Returns the level and the words of a difference of two means. Its sign is only known if the interval
+ * excludes zero.
+ */
+export function comparedMeans(change, first) {
+  if (!change) return { level: "learning", difference: "–", interval: "–", result: t("no-data-in-both-ranges"), sentence: null };
+  const share = (value) => signed((100 * value) / first.mean, 2);
+  const isClear = change.low > 0 || change.high < 0;
+  const direction = change.difference < 0 ? t("lower") : t("higher");
+  const [near, far] = [change.low, change.high].map((end) => Math.abs((100 * end) / first.mean)).sort((a, b) => a - b);
+  return {
+    level: isClear ? "warning" : "normal",
+    difference: `${share(change.difference)} %`,
+    interval: t("to-per-cent", share(change.low), share(change.high)),
+    result: isClear ? t("in-the-second-range", direction) : t("no-difference-shown"),
+    sentence: isClear ? t("is-per-cent-in-the-second-range", Math.abs((100 * change.difference) / first.mean).toFixed(1), direction, near.toFixed(1), far.toFixed(1), direction) : null,
+  };
+}
+
+/** Returns coordinates in words: 47.3760° N, 8.5470° E. Empty without any. */
+export function coordinatesOf(at) {
+  if (!at) return "";
+  return `${Math.abs(at.latitude).toFixed(4)}° ${at.latitude < 0 ? "S" : "N"}, ${Math.abs(at.longitude).toFixed(4)}° ${at.longitude < 0 ? "W" : "E"}`;
 }
 
 /** Returns a unit with typographic symbols. */

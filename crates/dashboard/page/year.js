@@ -1,6 +1,7 @@
 // The plots of the year of a judged quantity.
 
 import { dateOf, noon } from "./course.js";
+import { t } from "./language.js";
 import { Plot, css } from "./plot.js";
 import { drawShape } from "./shapes.js";
 import { AXES, number, unit } from "./words.js";
@@ -21,18 +22,18 @@ const MOST_THRESHOLDS = 2.5;
 
 /** How the days are drawn. Shapes distinguish them without colour. */
 const KINDS = {
-  learning: { name: "measured in the commissioning", shape: "circle", colour: "--line-7", size: 1.7 },
-  judged: { name: "measured", shape: "circle", colour: "--line-2" },
-  outside: { name: "outside experience", shape: "circle", isHollow: true, colour: "--line-2" },
-  changed: { name: "since the change", shape: "diamond", colour: "--alarm" },
+  learning: { name: t("measured-in-the-commissioning"), shape: "circle", colour: "--line-7", size: 1.7 },
+  judged: { name: t("measured"), shape: "circle", colour: "--line-2" },
+  outside: { name: t("outside-experience"), shape: "circle", isHollow: true, colour: "--line-2" },
+  changed: { name: t("since-the-change"), shape: "diamond", colour: "--alarm" },
 };
 
 /** Seasons as months, because their names depend on the hemisphere. */
 const SEASONS = [
-  { name: "Dec – Feb", shape: "circle", colour: "--line-1", months: [12, 1, 2] },
-  { name: "Mar – May", shape: "triangle", colour: "--line-3", months: [3, 4, 5] },
-  { name: "Jun – Aug", shape: "square", colour: "--line-2", months: [6, 7, 8] },
-  { name: "Sep – Nov", shape: "circle", isHollow: true, colour: "--line-4", months: [9, 10, 11] },
+  { name: t("dec-feb"), shape: "circle", colour: "--line-1", months: [12, 1, 2] },
+  { name: t("mar-may"), shape: "triangle", colour: "--line-3", months: [3, 4, 5] },
+  { name: t("jun-aug"), shape: "square", colour: "--line-2", months: [6, 7, 8] },
+  { name: t("sep-nov"), shape: "circle", isHollow: true, colour: "--line-4", months: [9, 10, 11] },
 ];
 
 const none = { paths: () => null, stroke: "transparent", width: 0 };
@@ -61,7 +62,7 @@ const kinds = Object.entries(KINDS);
 const byKind = (rows, value) => kinds.map(([kind]) => rows.map((row) => (row.kind === kind ? value(row) : null)));
 const legendOf = (looks) => looks.map(({ name, colour, shape, isHollow }) => ({ name, colour, shape, isHollow }));
 
-const inUnit = ({ kind }) => (kind === "frequency" ? "natural frequency (Hz)" : AXES.stiffness);
+const inUnit = ({ kind }) => (kind === "frequency" ? t("natural-frequency-hz") : AXES.stiffness);
 
 function quantile(values, share) {
   const sorted = values.filter((value) => value !== null && value !== undefined).sort((a, b) => a - b);
@@ -71,33 +72,33 @@ function quantile(values, share) {
 /** Returns the mark of the day on which a change was found. */
 function found(course) {
   const change = course?.rows.at(-1)?.change;
-  return change ? [{ x: noon(change.found_ns), text: `▲ ${change.kind} found`, colour: "--alarm" }] : [];
+  return change ? [{ x: noon(change.found_ns), text: t("found", change.kind), colour: "--alarm" }] : [];
 }
 
 /** Returns the mark of the most probable first day of a change. */
 function begun(course) {
   const change = course?.rows.at(-1)?.change;
-  return change ? [{ x: noon(change.since_ns), text: "△ probable first day", colour: "--alarm" }] : [];
+  return change ? [{ x: noon(change.since_ns), text: t("probable-first-day"), colour: "--alarm" }] : [];
 }
 
 /** Returns the mark of the end of the commissioning. */
 function learnt(course) {
-  return course?.reference ? [{ x: noon(course.reference.to_ns), text: "reference learnt", colour: "--learning" }] : [];
+  return course?.reference ? [{ x: noon(course.reference.to_ns), text: t("reference-learnt"), colour: "--learning" }] : [];
 }
 
 /** Returns the words of a day, without its date. */
 function words(row) {
-  if (!row || row.measured === null) return row?.sentence ?? "no data";
+  if (!row || row.measured === null) return row?.sentence ?? t("no-data");
   const { expectation } = row;
-  if (!expectation) return `measured ${number(row.measured)}, no reference yet`;
+  if (!expectation) return t("measured-no-reference-yet", number(row.measured));
   const { expected, interval } = expectation;
-  const kind = row.kind === "outside" ? " · outside experience" : row.kind === "changed" ? " · since the change" : "";
-  return `measured ${number(row.measured)} · expected ${number(expected)} [${number(interval.low)}, ${number(interval.high)}]${kind}`;
+  const kind = row.kind === "outside" ? t("and-outside-experience") : row.kind === "changed" ? t("and-since-the-change") : "";
+  return t("measured-expected", number(row.measured), number(expected), number(interval.low), number(interval.high), kind);
 }
 
 /** Returns the marks of what people have noted. */
 function noted(course) {
-  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? "⟲ new reference" : `✎ ${kind}`}`, colour: "--notice" });
+  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? t("mark-new-reference") : `✎ ${kind}`}`, colour: "--notice" });
   return (course?.annotations ?? []).map(mark);
 }
 
@@ -110,10 +111,10 @@ function overDays(points, plot) {
 /** Creates the plot of the measured and the expected values. */
 export function valuePlot(points, span) {
   const plot = overDays(points, {
-    title: "Measured and expected",
+    title: t("measured-and-expected"),
     file: "year",
     height: TALL,
-    legend: [...legendOf(Object.values(KINDS)), { name: "expected", colour: "--line-1", dash: [] }, { name: "95 % interval of a day", colour: "--band-95" }],
+    legend: [...legendOf(Object.values(KINDS)), { name: t("expected"), colour: "--line-1", dash: [] }, { name: t("95-per-cent-interval-of-a-day"), colour: "--band-95" }],
     unit: () => inUnit(points.course ?? {}),
     rows: (columns) => {
       const { rows } = columns.get("course");
@@ -141,9 +142,9 @@ export function valuePlot(points, span) {
 /** Creates the plot of the residuals, in standard deviations. */
 export function residualPlot(points, span) {
   const plot = overDays(points, {
-    title: "Residuals",
+    title: t("residuals"),
     file: "residuals",
-    unit: "standard deviations",
+    unit: t("standard-deviations"),
     rows: (columns) => {
       const { rows } = columns.get("course");
       return [rows.map(({ time }) => time), ...byKind(rows, ({ expectation }) => expectation?.residual ?? null)];
@@ -151,8 +152,8 @@ export function residualPlot(points, span) {
     series: () => kinds.map(() => none),
     range: (_, least, largest) => [Math.min(-3, 1.08 * (least ?? 0)), Math.max(3, 1.08 * (largest ?? 0))],
     paint: (u) => paint(u, Object.values(KINDS), 1),
-    marks: () => [...begun(points.course), { y: 0, text: "" }, { y: HALF_95, text: "" }, { y: -HALF_95, text: "95 % of sound days" }],
-    readout: (row) => (row?.expectation ? `${row.expectation.residual.toFixed(2)} standard deviations` : words(row)),
+    marks: () => [...begun(points.course), { y: 0, text: "" }, { y: HALF_95, text: "" }, { y: -HALF_95, text: t("95-per-cent-of-sound-days") }],
+    readout: (row) => (row?.expectation ? t("residual", row.expectation.residual.toFixed(2)) : words(row)),
   });
   return new Plot(plot, points, span);
 }
@@ -161,9 +162,9 @@ export function residualPlot(points, span) {
 export function evidencePlot(points, span) {
   const last = () => points.course?.rows.findLast(({ expectation }) => expectation)?.expectation;
   const plot = overDays(points, {
-    title: "Evidence of a loss",
+    title: t("evidence-of-a-loss"),
     file: "evidence",
-    unit: "ln of the evidence",
+    unit: t("ln-of-the-evidence"),
     rows: (columns) => {
       const { rows } = columns.get("course");
       return [rows.map(({ time }) => time), rows.map(({ expectation }) => (expectation ? Math.max(expectation.ln_evidence, LEAST_EVIDENCE) : null))];
@@ -173,8 +174,8 @@ export function evidencePlot(points, span) {
       const threshold = last()?.ln_threshold ?? 1;
       return [LEAST_EVIDENCE, Math.min(Math.max(1.15 * threshold, 1.05 * (largest ?? 0)), MOST_THRESHOLDS * threshold)];
     },
-    marks: () => [...found(points.course), ...(last() ? [{ y: last().ln_threshold, text: "threshold", colour: "--alarm" }] : [])],
-    readout: (row) => (row?.expectation ? `evidence ${row.expectation.ln_evidence.toFixed(1)} of ${row.expectation.ln_threshold.toFixed(1)} · CUSUM at ${(100 * row.expectation.cusum_share).toFixed(0)} % of its threshold` : words(row)),
+    marks: () => [...found(points.course), ...(last() ? [{ y: last().ln_threshold, text: t("threshold"), colour: "--alarm" }] : [])],
+    readout: (row) => (row?.expectation ? t("evidence-of-cusum-at-per-cent-of", row.expectation.ln_evidence.toFixed(1), row.expectation.ln_threshold.toFixed(1), (100 * row.expectation.cusum_share).toFixed(0)) : words(row)),
   });
   return new Plot(plot, points, span);
 }
@@ -215,7 +216,7 @@ export function conditionScatter(points, span, extent) {
   const looks = [...SEASONS, { ...KINDS.changed, shape: "cross" }];
   const place = (row) => (row.kind === "changed" ? SEASONS.length : SEASONS.findIndex(({ months }) => months.includes(Number(dateOf(row.time).slice(5, 7)))));
   const plot = {
-    title: "Measured values over the first condition",
+    title: t("measured-values-over-the-first-condition"),
     file: "scatter",
     height: SQUARE,
     names: ["course"],

@@ -1,0 +1,360 @@
+// The tab that compares two time ranges: parameters and natural frequencies, drawn over each other by
+// the time since the start of their range, with the difference of their means in words.
+
+import { h, keyed, setText } from "./dom.js";
+import { t } from "./language.js";
+import { Plot, css, look, padded } from "./plot.js";
+import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, natural, setSentence, time, timeOfField } from "./words.js";
+import { Extent } from "./year.js";
+
+/** Number of points of each series and range. */
+const POINTS = 1000;
+/** Number of series in one request. The server allows 256. */
+const SERIES_PER_REQUEST = 200;
+/** Number of quantities that each have a plot. With more, only the chosen one has. */
+const MOST_PLOTS = 6;
+/** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
+const HALF_95 = 1.96;
+/** Minimum gap, in usual steps, that a line does not cross. */
+const HOLE_STEPS = 8;
+const DAY_S = 86400;
+/** Ranges that a button selects: names and lengths (s) of two ranges, the second up to the newest data. */
+const USUAL = [
+  [t("last-hour-and-the-hour-before"), 3600],
+  [t("last-day-and-the-day-before"), DAY_S],
+  [t("last-week-and-the-week-before"), 7 * DAY_S],
+];
+const NAMES = [t("first-range"), t("second-range")];
+const KEYS = ["first", "second"];
+const LOOKS = [0, 1].map((index) => ({ ...look(index), band: ["--band-95", "--band-second"][index] }));
+
+/**
+ * Returns the mean of the estimates { mean, std } in a range, or null without any.
+ *
+ * The errors of a parameter within a range are almost the same error, because each estimate builds on
+ * the last one. The standard deviation of their mean is therefore that of one estimate. Epochs of
+ * modes are estimated independently. Their mean has the larger of two standard deviations: the one
+ * that the epochs state, and the one of their scatter.
+ */
+export function meanOf([, values, stds], areIndependent) {
+  const rows = values.map((_, row) => row).filter((row) => values[row] !== null && stds[row] !== null);
+  if (rows.length === 0) return null;
+  const count = rows.length;
+  const sum = (of) => rows.reduce((total, row) => total + of(row), 0);
+  const mean = sum((row) => values[row]) / count;
+  if (!areIndependent) return { mean, std: sum((row) => stds[row]) / count, count };
+  const stated = Math.sqrt(sum((row) => stds[row] ** 2)) / count;
+  const scatter = count > 1 ? Math.sqrt(sum((row) => (values[row] - mean) ** 2) / (count - 1) / count) : 0;
+  return { mean, std: Math.max(stated, scatter), count };
+}
+
+/** Returns the difference of two means with its 95 % interval, or null without both. */
+export function differenceOf(first, second) {
+  if (!first || !second) return null;
+  const difference = second.mean - first.mean;
+  const half = HALF_95 * Math.hypot(first.std, second.std);
+  return { difference, low: difference - half, high: difference + half };
+}
+
+/** Returns the columns on other times, by linear interpolation. Values in gaps are null. */
+function onto(times, columns) {
+  const [own] = columns;
+  const steps = own.slice(1).map((time, index) => time - own[index]);
+  const usual = steps.toSorted((a, b) => a - b)[steps.length >> 1] ?? 0;
+  let row = 0;
+  const places = times.map((time) => {
+    while (row + 1 < own.length && own[row + 1] <= time) row += 1;
+    if (own[row] === time) return [row, 0];
+    const isInside = own[row] < time && row + 1 < own.length && own[row + 1] - own[row] <= HOLE_STEPS * usual;
+    return isInside ? [row, (time - own[row]) / (own[row + 1] - own[row])] : null;
+  });
+  return columns.slice(1).map((column) => places.map((place) => {
+    if (place === null) return null;
+    const [at, share] = place;
+    if (share === 0) return column[at];
+    return column[at] === null || column[at + 1] === null ? null : column[at] + share * (column[at + 1] - column[at]);
+  }));
+}
+
+/** The points of all quantities in two ranges. */
+class TwoRanges {
+  #series = new Map();
+  /** The two ranges, each { from_s, to_s }. */
+  ranges = null;
+  /** Time from which data are stored (s since 1970), or null. */
+  keptFrom_s = null;
+  extent = new Extent();
+
+  constructor(structure) {
+    this.structure = structure;
+  }
+
+  /** Returns the columns of both ranges by the time since their start, or null before they have arrived. */
+  columns(name) {
+    return this.#series.get(name) ?? null;
+  }
+
+  csv([name]) {
+    const rows = (this.columns(name) ?? []).flatMap((columns, range) => columns[0].map((since, row) => `${range + 1},${since},${columns[1][row] ?? ""},${columns[2][row] ?? ""}`));
+    return `data:text/csv,${encodeURIComponent(["range,time_since_start_s,mean,std", ...rows].join("\n"))}`;
+  }
+
+  /** Plots fetch nothing, because the tab fetches both ranges at once. */
+  async fetch() {
+    return this.#series.size > 0;
+  }
+
+  /** Fetches both ranges of all series. Returns whether they have arrived, and are still wanted. */
+  async load(names) {
+    const { ranges } = this;
+    const answers = await Promise.all(ranges.map((range) => this.#range(range, names)));
+    if (answers.includes(null) || ranges !== this.ranges) return false;
+    this.#series = new Map(names.map((name) => [name, answers.map((answer) => answer.get(name))]));
+    this.extent.all = [0, Math.max(...ranges.map(({ from_s, to_s }) => to_s - from_s))];
+    return true;
+  }
+
+  async #range({ from_s, to_s }, names) {
+    const found = new Map();
+    for (let at = 0; at < names.length; at += SERIES_PER_REQUEST) {
+      const query = new URLSearchParams({ series: names.slice(at, at + SERIES_PER_REQUEST).join(","), points: POINTS, from: from_s, to: to_s });
+      const response = await fetch(`/api/structures/${encodeURIComponent(this.structure)}/history?${query}`);
+      if (!response.ok) return null;
+      const answer = await response.json();
+      this.keptFrom_s = answer.kept_from_s;
+      for (const { name, data } of answer.series) found.set(name, [data[0].map((time) => time - from_s), ...data.slice(1)]);
+    }
+    return found;
+  }
+}
+
+export class CompareTab {
+  key = "compare";
+  hasSpan = false;
+  /** Name of the quantity whose plot is shown, if not all are. */
+  chosen = null;
+  plots = [];
+
+  constructor(page) {
+    this.page = page;
+    const { parameters, modes } = page.about;
+    this.quantities = [
+      ...parameters.map(({ name, stiffness }) => ({ name, series: `parameter/${name}`, unit: "", axis: stiffness ? AXES.stiffness : AXES.ratio, areIndependent: false })),
+      ...modes.map(({ name }) => ({ name, series: `mode/${name}`, unit: "Hz", axis: t("natural-frequency-hz"), areIndependent: true })),
+    ].sort((a, b) => a.areIndependent - b.areIndependent || natural(a.name, b.name));
+    this.points = new TwoRanges(page.name);
+    this.points.extent.onchange(() => this.#redraw());
+    this.fields = KEYS.map((key) => ({ from: h("input", { id: `${key}-from`, required: true }), to: h("input", { id: `${key}-to`, required: true }) }));
+    const range = (key, index) => h("fieldset", {}, h("legend", {}, h("span", { class: `swatch-line is-${key}`, "aria-hidden": "true" }), NAMES[index]), h("label", { for: `${key}-from` }, t("from")), this.fields[index].from, h("label", { for: `${key}-to` }, t("to")), this.fields[index].to);
+    this.told = h("p", { class: "told", role: "status" });
+    this.usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.#newest(length_s)) }, text));
+    this.form = h("form", { class: "two-ranges", onsubmit: (event) => this.#submit(event) }, KEYS.map(range), h("div", { class: "ranges" }, h("button", { type: "submit", class: "main" }, t("compare")), h("button", { type: "button", onclick: () => this.#showHalves() }, t("halves-of-the-shown-span")), this.usual), this.told);
+    this.rows = h("tbody");
+    const heads = h("tr", {}, COLUMNS.differences.map((text) => h("th", { scope: "col" }, text)));
+    this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": t("differences") }, h("table", { class: "differences" }, h("thead", {}, heads), this.rows));
+    this.lengths = h("p", { class: "group-text" });
+    this.sentence = h("p", { class: "sentence" });
+    this.all = h("button", { type: "button", class: "back", hidden: true, onclick: () => this.points.extent.live() }, t("whole-ranges"));
+    this.holder = h("div", { class: "plots" });
+    const words = t("the-interval-covers-the-errors-of-the");
+    this.element = h("section", { class: "group", id: "group-compare" }, h("h2", { class: "sr-only" }, t("comparison")), h("section", { class: "card" }, this.form), h("section", { class: "card" }, this.sentence, this.lengths, this.table, h("p", { class: "group-text" }, words)), h("div", { class: "tools" }, this.all), this.holder);
+    this.#build(this.quantities.length <= MOST_PLOTS ? this.quantities : []);
+  }
+
+  /** What the address states besides the tab. */
+  get query() {
+    const { ranges } = this.points;
+    if (!ranges) return {};
+    const text = ({ from_s, to_s }) => `${from_s.toFixed(3)}..${to_s.toFixed(3)}`;
+    return { first: text(ranges[0]), second: text(ranges[1]), ...(this.chosen ? { parameter: this.chosen } : {}) };
+  }
+
+  update() {
+    // The first data determine the ranges of a page that was opened too early.
+    if (!this.points.ranges && this.page.span.newest_s !== null) this.#showHalves();
+  }
+
+  restart() {
+    if (this.points.ranges) this.#load();
+  }
+
+  /** Shows the ranges and the quantity in the address. */
+  goto(name, parameters) {
+    const ranges = KEYS.map((key) => rangeOf(parameters.get(key)));
+    this.chosen = this.quantities.some((quantity) => quantity.name === name) ? name : null;
+    if (!ranges.includes(null)) this.#set(ranges);
+    else if (this.page.span.newest_s !== null) this.#showHalves();
+  }
+
+  /** Shows the halves of the shown span, or of the part of it that has data. */
+  #showHalves() {
+    this.#choose(this.#halves());
+    this.isUnchosen = true;
+  }
+
+  #halves(from_s = -Infinity) {
+    const { min: start, max } = this.page.span.shown;
+    const min = Math.max(start, from_s);
+    const middle = (min + max) / 2;
+    return [{ from_s: min, to_s: middle }, { from_s: middle, to_s: max }];
+  }
+
+  #newest(length_s) {
+    const end = this.page.span.newest_s;
+    return [{ from_s: end - 2 * length_s, to_s: end - length_s }, { from_s: end - length_s, to_s: end }];
+  }
+
+  #choose(ranges) {
+    this.#set(ranges);
+    this.page.changed();
+  }
+
+  #set(ranges) {
+    this.isUnchosen = false;
+    this.points.ranges = ranges;
+    const isRecord = isWithoutDate(ranges[1].to_s);
+    ranges.forEach((range, index) => {
+      for (const end of ["from", "to"]) {
+        const field = this.fields[index][end];
+        // A record without dates has times in seconds.
+        [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
+        field.value = isRecord ? String(Number(range[`${end}_s`].toFixed(3))) : fieldOf(range[`${end}_s`]);
+      }
+    });
+    this.usual.forEach((button) => (button.hidden = isRecord));
+    this.points.extent.live();
+    this.#load();
+  }
+
+  #submit(event) {
+    event.preventDefault();
+    const isRecord = this.fields[0].from.type === "number";
+    const read = (field) => (isRecord ? Number(field.value) : timeOfField(field.value));
+    const ranges = this.fields.map(({ from, to }) => ({ from_s: read(from), to_s: read(to) }));
+    const wrong = ranges.findIndex(({ from_s, to_s }) => !(to_s > from_s));
+    if (wrong >= 0) return setText(this.told, t("range-end-after-start", NAMES[wrong]));
+    this.#choose(ranges);
+  }
+
+  async #load() {
+    setText(this.told, "");
+    const { ranges } = this.points;
+    const isThere = this.quantities.length > 0 && (await this.points.load(this.quantities.map(({ series }) => series)).catch(() => false));
+    if (ranges !== this.points.ranges) return;
+    if (!isThere) return setText(this.told, this.quantities.length > 0 ? t("cannot-reach-spandrel") : t("this-structure-has-neither-parameters-nor-followed"));
+    const { keptFrom_s: kept } = this.points;
+    if (this.isUnchosen && kept !== null && kept > ranges[0].from_s + 1 && kept < ranges[1].to_s - 1) return this.#choose(this.#halves(kept));
+    this.#show();
+  }
+
+  #show() {
+    const words = ({ from_s, to_s }, index) => t("range-words", NAMES[index], time(from_s), time(to_s), duration(to_s - from_s));
+    setSentence(this.lengths, this.points.ranges.map(words).join(" "));
+    const results = this.quantities.map((quantity) => {
+      const [first, second] = this.points.columns(quantity.series).map((columns) => meanOf(columns, quantity.areIndependent));
+      return { ...quantity, first, second, change: differenceOf(first, second) };
+    });
+    const isMany = this.quantities.length > MOST_PLOTS;
+    if (isMany) {
+      const clear = results.toSorted((a, b) => clearness(b) - clearness(a))[0];
+      const shown = results.find(({ name }) => name === this.chosen) ?? clear;
+      if (this.shown !== shown.name) this.#build([shown]);
+      this.shown = shown.name;
+    }
+    const make = ({ name }) => {
+      const cells = COLUMNS.differences.slice(1).map((text, column) => h("td", { class: column < 4 ? "number" : null, "data-head": text }));
+      const head = isMany ? h("button", { type: "button", class: "small", onclick: () => this.#pick(name) }, name) : name;
+      return { element: h("tr", {}, h("th", { scope: "row" }, head), cells), cells };
+    };
+    const value = (mean, unit) => (mean ? comparedValue(mean.mean, unit) : "–");
+    const all = results.map((one) => ({ ...one, words: comparedMeans(one.change, one.first) }));
+    keyed(this.rows, all, ({ series }) => series, make, ({ element, cells }, { name, first, second, unit, words }) => {
+      element.dataset.level = words.level;
+      if (isMany) element.querySelector("button").setAttribute("aria-pressed", String(name === this.shown));
+      [value(first, unit), value(second, unit), words.difference, words.interval, words.result].forEach((text, column) => setText(cells[column], text));
+    });
+    setText(this.sentence, summary(all));
+    this.#redraw();
+  }
+
+  #pick(name) {
+    this.chosen = name;
+    this.#show();
+    this.page.changed();
+  }
+
+  #build(quantities) {
+    this.plots.forEach((plot) => plot.close());
+    this.plots = quantities.map((quantity) => comparePlot(quantity, this.points));
+    this.holder.replaceChildren(...this.plots.map(({ element }) => element));
+  }
+
+  #redraw() {
+    const { shown, all } = this.points.extent;
+    this.all.hidden = shown.min === all[0] && shown.max === all[1];
+    this.plots.forEach((plot) => plot.restart());
+  }
+}
+
+/** Returns a range in the address, or null without a valid one. */
+function rangeOf(text) {
+  const [from_s, to_s] = (text ?? "").split("..").map((part) => (part === "" ? NaN : Number(part)));
+  return Number.isFinite(from_s) && Number.isFinite(to_s) && to_s > from_s ? { from_s, to_s } : null;
+}
+
+/** Maximum number of differences that the sentence names, the clearest first. */
+const MOST_NAMED = 3;
+
+/** Returns the differences in one sentence. */
+function summary(results) {
+  const known = results.filter(({ change }) => change);
+  if (known.length === 0) return t("no-quantity-has-data-in-both-ranges");
+  const clear = known.filter(({ words }) => words.sentence).sort((a, b) => clearness(b) - clearness(a));
+  if (clear.length === 0) return t("no-difference-is-shown-the-95-per");
+  const named = clear.slice(0, MOST_NAMED).map(({ name, words }) => `${name} ${words.sentence}`);
+  const more = clear.length - named.length;
+  return `◆ ${named.join("; ")}${more > 0 ? t("and-more", more) : ""}.`;
+}
+
+/** Returns how clear a difference is, in half-widths of its interval. */
+function clearness({ change }) {
+  return change ? Math.abs(change.difference) / (change.high - change.difference || Infinity) : -1;
+}
+
+/** Creates the plot of one quantity in both ranges, with the 95 % intervals. */
+function comparePlot({ name, series, unit, axis, areIndependent }, points) {
+  const edge = { stroke: "transparent", width: 0 };
+  const line = ({ colour, dash }) => ({ stroke: () => css(colour), width: 2, dash, points: { show: areIndependent, size: 5 } });
+  const told = (data, at, column) => (data[column][at] == null ? "–" : comparedValue(data[column][at], unit));
+  return new Plot(
+    {
+      title: name,
+      file: `compare-${series.replace("/", "-")}`,
+      unit: axis,
+      names: [series],
+      sync: "compare",
+      isSinceStart: true,
+      legend: NAMES.map((text, index) => ({ name: text, ...LOOKS[index] })),
+      rows: (columns) => {
+        const both = columns.get(series);
+        const times = [...new Set(both.flatMap(([times]) => times))].sort((a, b) => a - b);
+        const aligned = both.map((columns) => onto(times, columns));
+        const bands = aligned.flatMap(([means, stds]) => [-HALF_95, HALF_95].map((half) => means.map((mean, row) => (mean === null ? null : mean + half * stds[row]))));
+        return [times, ...aligned.map(([means]) => means), ...bands];
+      },
+      series: () => [...LOOKS.map(line), edge, edge, edge, edge],
+      bands: () => LOOKS.map(({ band }, index) => ({ series: [4 + 2 * index, 3 + 2 * index], fill: css(band) })),
+      range: (u) => {
+        const { min, max } = points.extent.shown;
+        const seen = (column) => u.data[column].filter((value, row) => value != null && u.data[0][row] >= min && u.data[0][row] <= max).sort((a, b) => a - b);
+        // The wide intervals of the first seconds would flatten the rest.
+        const lows = [3, 5].flatMap((column) => seen(column).at(Math.round(0.05 * (seen(column).length - 1))) ?? []);
+        const highs = [4, 6].flatMap((column) => seen(column).at(Math.round(0.95 * (seen(column).length - 1))) ?? []);
+        return lows.length > 0 ? padded(u, Math.min(...lows), Math.max(...highs)) : [0, 1];
+      },
+      readout: (data, at) => t("first-second", told(data, at, 1), told(data, at, 2)),
+    },
+    points,
+    points.extent,
+  );
+}

@@ -1,0 +1,298 @@
+// A report of a period, to be printed: states, alerts, parameters, natural frequencies, sensors and
+// events of the chosen structures.
+
+import { chart, rangeOf } from "./chart.js";
+import { h, setText } from "./dom.js";
+import { t } from "./language.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
+
+/** Number of points of each plot. It is about as wide as that many dots. */
+const POINTS = 400;
+/** Number of series in one request. The server allows 256. */
+const SERIES_PER_REQUEST = 200;
+/** Length of the period of a report without one in its address (s). */
+const USUAL_S = 86400;
+/** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
+const HALF_95 = 1.96;
+/** Time before the newest data from which a period counts as the present (s). */
+const PRESENT_S = 60;
+/** States of alerts that a report lists one by one. The others change often and need no action. */
+const LISTED = ["raised", "unconfirmed", "pending", "acknowledged", "cleared"];
+/** Periods that a button selects (s). */
+const USUAL = [[t("last-hour"), 3600], [t("last-day"), 86400], [t("last-week"), 7 * 86400], [t("last-month"), 30 * 86400]];
+
+export class ReportPage {
+  #isOpen = true;
+
+  constructor(connection, parameters) {
+    connection.listen(null);
+    this.wanted = (parameters.get("structures") ?? "").split(",").filter(Boolean);
+    this.period = spanOf(parameters, AROUND_S);
+    this.list = h("div", { class: "choices" });
+    this.from = h("input", { id: "report-from", required: true });
+    this.to = h("input", { id: "report-to", required: true });
+    this.event = h("select", { id: "report-event", onchange: () => this.#choose(Number(this.event.value) - AROUND_S, Number(this.event.value) + AROUND_S) }, h("option", { value: "" }, t("choose-an-event")));
+    this.told = h("p", { class: "told", role: "status" });
+    this.print = h("button", { type: "button", class: "main", disabled: true, onclick: () => window.print() }, t("print-or-save-as-pdf"));
+    const usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.newest_s - length_s, this.newest_s) }, text));
+    this.usual = h("div", { class: "ranges", role: "group", "aria-label": t("period") }, usual);
+    this.form = h(
+      "form",
+      { class: "card report-form", hidden: true, onsubmit: (event) => this.#submit(event) },
+      h("fieldset", {}, h("legend", {}, t("structures")), this.list),
+      h("fieldset", {}, h("legend", {}, t("period")), this.usual, h("div", { class: "free-range" }, h("label", { for: "report-from" }, t("from")), this.from, h("label", { for: "report-to" }, t("to")), this.to, h("button", { type: "submit" }, t("show"))), h("div", { class: "free-range" }, h("label", { for: "report-event" }, t("or-around-an-event")), this.event)),
+      this.told,
+      h("div", { class: "actions" }, this.print),
+    );
+    this.sheet = h("div", { class: "report", "data-state": "loading" }, h("p", { class: "empty" }, t("loading")));
+    this.element = h("div", { class: "report-page" }, this.form, this.sheet);
+    this.#load();
+  }
+
+  /** The title of the window, which is the default name of a saved file. */
+  get title() {
+    return t("report-title", this.wanted.join(", ")).trim();
+  }
+
+  close() {
+    this.#isOpen = false;
+  }
+
+  async #load() {
+    try {
+      await this.#build();
+    } catch (error) {
+      if (!(error instanceof TypeError && /fetch/i.test(error.message))) throw error; // a mistake in the page
+      this.sheet.replaceChildren(h("p", { class: "empty" }, t("cannot-reach-spandrel-retrying")));
+      setTimeout(() => this.#isOpen && this.#load(), 2000);
+    }
+  }
+
+  async #build() {
+    const [{ structures }, { changes }] = await Promise.all(["/api/structures", "/api/alerts"].map(async (address) => (await fetch(address)).json()));
+    const names = structures.map(({ name }) => name).sort(natural);
+    const chosen = this.wanted.filter((name) => names.includes(name));
+    this.wanted = chosen.length > 0 ? chosen : names;
+    const all = await Promise.all(this.wanted.map(async (name) => (await fetch(`/api/structures/${encodeURIComponent(name)}`)).json()));
+    if (!this.#isOpen) return;
+    const reported = all.map((one) => ({ ...one, changes: changes.filter(({ structure }) => structure === one.about.name) }));
+    const newest = reported.map(({ overview }) => overview.time_s).filter((time) => time !== null);
+    this.newest_s = newest.length > 0 ? Math.max(...newest) : null;
+    if (this.newest_s === null) {
+      this.sheet.dataset.state = "complete";
+      return this.sheet.replaceChildren(h("p", { class: "empty" }, t("no-data-yet-there-is-nothing-to")));
+    }
+    // A record without dates starts at 0.
+    const start = (length_s) => (isWithoutDate(this.newest_s) ? Math.max(0, this.newest_s - length_s) : this.newest_s - length_s);
+    const { from_s, to_s } = this.period && !this.period.length_s ? this.period : { from_s: start(this.period?.length_s ?? USUAL_S), to_s: this.newest_s };
+    this.#fillForm(names, reported, from_s, to_s);
+    const series = await Promise.all(reported.map(({ about }) => pointsOf(about, from_s, to_s)));
+    if (!this.#isOpen) return;
+    // Where less is stored, the plots start with the data.
+    const firsts = series.flatMap((of) => [...of.values()].map(([times]) => times[0]).filter((time) => time !== undefined));
+    const shown = { from_s: firsts.length > 0 ? Math.max(from_s, Math.min(...firsts, to_s - 1)) : from_s, to_s };
+    const sections = reported.map((one, index) => section(one, series[index], { from_s, to_s }, shown));
+    this.sheet.replaceChildren(head(reported, { from_s, to_s }, shown), ...sections);
+    this.sheet.dataset.state = "complete";
+    this.print.disabled = false;
+  }
+
+  #fillForm(names, reported, from_s, to_s) {
+    const choice = (name) => h("label", { class: "check" }, h("input", { type: "checkbox", value: name, checked: this.wanted.includes(name) }), name);
+    this.list.replaceChildren(...names.map(choice));
+    const isRecord = isWithoutDate(to_s);
+    for (const [field, seconds] of [[this.from, from_s], [this.to, to_s]]) {
+      // A record without dates has times in seconds.
+      [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
+      field.value = isRecord ? String(Number(seconds.toFixed(3))) : fieldOf(seconds);
+    }
+    this.isRecord = isRecord;
+    this.usual.hidden = isRecord;
+    const happened = reported.flatMap(({ about, standing, changes }) => eventsOf(standing, changes).filter(({ isListed }) => isListed).map((event) => ({ ...event, structure: about.name })));
+    happened.sort((a, b) => b.time_s - a.time_s);
+    this.event.append(...happened.map(({ time_s, structure, about, what, lang }) => h("option", { value: time_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
+    this.form.hidden = false;
+  }
+
+  #submit(event) {
+    event.preventDefault();
+    const [from_s, to_s] = [this.from, this.to].map(({ value }) => (this.isRecord ? Number(value) : timeOfField(value)));
+    if (!(to_s > from_s)) return setText(this.told, t("end-after-start"));
+    this.#choose(from_s, to_s);
+  }
+
+  /** Opens the report of a period as a new address. */
+  #choose(from_s, to_s) {
+    const names = [...this.list.querySelectorAll("input:checked")].map(({ value }) => value);
+    if (names.length === 0) return setText(this.told, t("choose-at-least-one-structure"));
+    location.hash = reportOf(names, from_s, to_s);
+  }
+}
+
+/** Share of a period without data from which the points are fetched again, for the rest of it. */
+const MOST_EMPTY = 0.05;
+
+/** Fetches all series of a report. Returns their columns by name. */
+async function pointsOf(about, from_s, to_s) {
+  const { kept_from_s: kept, found } = await fetchPoints(about, from_s, to_s);
+  // The points of a reply are spread over all of its span.
+  const isMostlyEmpty = kept !== null && kept < to_s && kept - from_s > MOST_EMPTY * (to_s - from_s);
+  return isMostlyEmpty ? (await fetchPoints(about, kept, to_s)).found : found;
+}
+
+async function fetchPoints({ name, parameters, modes, conditions }, from_s, to_s) {
+  const names = [...parameters.flatMap(({ name }) => [`parameter/${name}`, `loss/${name}`]), ...modes.map(({ name }) => `mode/${name}`), ...conditions.map(({ name }) => `condition/${name}`)];
+  const found = new Map();
+  let kept_from_s = null;
+  for (let at = 0; at < names.length; at += SERIES_PER_REQUEST) {
+    const query = new URLSearchParams({ series: names.slice(at, at + SERIES_PER_REQUEST).join(","), points: POINTS, from: from_s, to: to_s });
+    const response = await fetch(`/api/structures/${encodeURIComponent(name)}/history?${query}`);
+    const answer = await response.json();
+    if (answer.kept_from_s !== null) kept_from_s = Math.min(answer.kept_from_s, kept_from_s ?? Infinity);
+    for (const { name, data } of answer.series) found.set(name, data);
+  }
+  return { kept_from_s, found };
+}
+
+/** Returns the changes of alerts and the events, the oldest first. */
+function eventsOf({ events }, changes) {
+  const ofAlert = ({ parameter, state, time_ns, why, acknowledged_by: who, note }) => ({ time_s: time_ns / 1e9, about: parameter, what: `${STATES[state].sign} ${STATES[state].word}`, why: who ? t("change-seen-by", why, who, note ? `: ${note}` : "") : why, level: STATES[state].level, isListed: LISTED.includes(state) });
+  const ofEvent = ({ subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, about: subject, what, why, level: "learning", isListed: true, lang: SERVICES });
+  return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
+}
+
+function table(columns, rows, { label, className = "" }) {
+  // A cell is a text, or a name with a text behind it.
+  const fill = (element, cell) => (typeof cell === "string" ? sentence(element, cell) : (element.append(h("strong", { lang: cell.lang ?? null }, cell.name), " ", sentence(h("span", { lang: SERVICES }), cell.text)), element));
+  const row = ({ level, cells }) => h("tr", { "data-level": level }, cells.map((cell, column) => fill(column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": columns[column] }), cell)));
+  return h("table", { class: `report-table ${className}`, "aria-label": label }, h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text)))), h("tbody", {}, rows.map(row)));
+}
+
+function sentence(element, text) {
+  setSentence(element, text);
+  return element;
+}
+
+/** The first page: the period, and one line per structure. */
+function head(reported, { from_s, to_s }, shown) {
+  const rows = reported.map(({ overview }) => ({ level: overview.level, cells: [overview.name, `${LEVELS[overview.level].sign} ${LEVELS[overview.level].word}`, { name: "", text: overview.sentence }] }));
+  const period = t("report-period", time(from_s), time(to_s), duration(to_s - from_s));
+  const made = t("made-by-spandrel-on-the-states-are", time(Date.now() / 1000));
+  const stored = shown.from_s > from_s + 1 ? t("data-are-stored-from-on", time(shown.from_s)) : "";
+  const all = rows.length > 1 ? table([t("structure"), t("state"), t("reason")], rows, { label: t("structures"), className: "is-states" }) : null;
+  return h("header", { class: "report-head" }, h("h1", {}, t("structural-health-report")), sentence(h("p", { class: "period" }), period), sentence(h("p", { class: "group-text" }), made + stored), all);
+}
+
+/** Everything about one structure. */
+function section({ about, overview, standing, changes }, series, period, shown) {
+  const isWithin = ({ time_s }) => time_s >= period.from_s && time_s <= period.to_s;
+  const happened = eventsOf(standing, []).filter(isWithin);
+  const all = eventsOf({ events: [] }, changes).filter(isWithin);
+  const alerts = all.filter(({ isListed }) => isListed);
+  const others = all.length - alerts.length;
+  const level = LEVELS[overview.level];
+  const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
+  const { sensors } = overview;
+  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
+  const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
+  const none = (text) => h("p", { class: "group-text" }, text);
+  const events = (list, text) => (list.length === 0 ? none(text) : table(COLUMNS.events.slice(0, 3), list.map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
+  return h(
+    "article",
+    { class: "report-structure", "data-structure": about.name, "data-level": overview.level },
+    h("h2", {}, about.name),
+    h("p", { class: "description" }, where.join(" · ")),
+    h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
+    part(t("alerts-in-the-period"), events(alerts, t("no-alert")), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
+    about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), parameterCharts(about, standing, changes, series, shown)) : null,
+    about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
+    about.judged.length > 0 ? part(t("lasting-change"), standing.judgements.length === 0 ? none(t("the-service-judge-has-not-reported-yet")) : h("ul", { class: "sensor-list" }, standing.judgements.map(({ sentence: text }) => sentence(h("li", { lang: SERVICES }), text)))) : null,
+    about.conditions.length > 0 ? part(t("conditions"), h("ul", { class: "sensor-list" }, standing.conditions.map((condition) => h("li", {}, conditionWords(condition).text))), charts(about.conditions, "condition", series, shown, ({ name, unit: of }) => `${name} (${unit(of)})`)) : null,
+    part(t("sensors-at-the-time-of-the-report"), sensorTable(about, standing)),
+    part(t("events-in-the-period"), events(happened, t("no-event-is-known"))),
+  );
+}
+
+/** Returns the state of a parameter at the end of the period, in words. */
+function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
+  if (!ruled.has(name)) return { level: "learning", words: NO_RULE };
+  const alert = standing.alerts.find(({ parameter }) => parameter === name);
+  const isPresent = to_s >= overview.time_s - PRESENT_S;
+  if (isPresent && alert) {
+    const { sign, word, level } = stateOf(alert);
+    return { level, words: `${sign} ${word}` };
+  }
+  // The changes are sorted, the newest first.
+  const last = changes.find(({ parameter, time_ns }) => parameter === name && time_ns / 1e9 <= to_s);
+  return last && !isPresent ? { level: STATES[last.state].level, words: `${STATES[last.state].sign} ${STATES[last.state].word}` } : { level: "learning", words: t("no-decision-known") };
+}
+
+function parameterTable(about, overview, standing, changes, series, period) {
+  const ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
+  const rows = about.parameters.toSorted((a, b) => natural(a.name, b.name)).map((parameter) => {
+    const { level, words } = stateAtEnd(parameter, ruled, overview, standing, changes, period);
+    const [, means, stds] = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
+    const row = means.findLastIndex((mean) => mean !== null);
+    const [mean, std] = [means[row], stds[row]];
+    const chance = series.get(`loss/${parameter.name}`)?.[4]?.at(-1);
+    const loss = standing.losses[parameter.name];
+    const asked = loss && parameter.stiffness && chance != null ? t("probability-for-more-than", probability(chance, loss.rule_credibility), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
+    const texts = row < 0 ? [t("no-estimate"), "–"] : [`${ratio(mean)} ± ${ratio(std)}`, t("range", ratio(mean - HALF_95 * std), ratio(mean + HALF_95 * std))];
+    return { level, cells: [parameter.name, words, ...texts, asked] };
+  });
+  return table(COLUMNS.parts, rows, { label: t("parameters-at-the-end-of-the-period"), className: "is-parameters" });
+}
+
+/** Draws all parameters. Stiffnesses share a scale. */
+function parameterCharts({ parameters }, standing, changes, series, shown) {
+  const sorted = parameters.toSorted((a, b) => natural(a.name, b.name));
+  const drawn = sorted.map((parameter) => {
+    const columns = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
+    const loss = parameter.stiffness ? standing.losses[parameter.name] : null;
+    const bound = loss ? { y: (1 - loss.rule_loss) * loss.reference, text: t("threshold-lost", percent(loss.rule_loss, 0)) } : null;
+    return { parameter, columns, bound, own: rangeOf(columns, bound ? [bound.y] : []) };
+  });
+  const ranges = drawn.filter(({ parameter, own }) => parameter.stiffness && own).map(({ own }) => own);
+  const shared = ranges.length > 0 ? [Math.min(...ranges.map(([low]) => low)), Math.max(...ranges.map(([, high]) => high))] : null;
+  const figures = drawn.map(({ parameter, columns, bound, own }) => {
+    const marks = changes.filter(({ parameter: of, state }) => of === parameter.name && LISTED.includes(state)).map(({ state, time_ns }) => ({ x: time_ns / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
+    return figure(parameter.name, lastOf(columns), own && { columns, ...shown, range: parameter.stiffness ? shared : own, marks, bound, label: t("over-the-period", parameter.name) });
+  });
+  return h("div", {}, h("p", { class: "group-text" }, t("report-ratio-to-the-design")), h("div", { class: "charts" }, figures));
+}
+
+/** Draws series with a value now and then. */
+function charts(list, kind, series, shown, title) {
+  return h("div", { class: "charts" }, list.map((one) => {
+    const [times, values, stds] = series.get(`${kind}/${one.name}`) ?? [[], []];
+    const columns = [times, values, kind === "mode" ? stds : values.map(() => null)];
+    const range = times.length > 0 ? rangeOf(columns) : null;
+    return figure(title(one), "", range && { columns, ...shown, range, hasPoints: true, label: t("over-the-period", one.name) });
+  }));
+}
+
+/** Returns the last estimate of a parameter in words. */
+function lastOf([, means, stds]) {
+  const row = means.findLastIndex((mean) => mean !== null);
+  return row < 0 ? "" : `${ratio(means[row])} ± ${ratio(stds[row])}`;
+}
+
+function figure(title, last, plot) {
+  return h("figure", {}, h("figcaption", {}, title, h("span", { class: "last" }, last)), plot ? chart(plot) : h("p", { class: "group-text" }, t("no-data-in-the-period")));
+}
+
+function modeList({ modes }) {
+  if (modes.length === 0) return h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
+  return h("ul", { class: "sensor-list" }, modes.map((mode) => sentence(h("li"), modeWords(mode).text)));
+}
+
+function sensorTable({ drawing }, { sensors }) {
+  const units = new Map(drawing.sensors.map(({ channel, quantity, unit: of }) => [channel, { quantity, of }]));
+  const rows = sensors.toSorted((a, b) => natural(a.channel, b.channel)).map(({ channel, node, health, level }) => {
+    const { sign, word, level: attention } = HEALTH[health];
+    const { quantity, of } = units.get(channel) ?? { quantity: "", of: "" };
+    const [rate, , rms, peak, last] = levelWords(level, of);
+    return { level: attention, cells: [channel, wordOf(quantity), node, `${sign} ${word}`, rate, rms, peak, last] };
+  });
+  return table([t("sensor"), t("quantity"), t("node"), t("state"), t("samples-per-second"), t("rms"), t("peak"), t("last-sample")], rows, { label: t("sensors"), className: "is-sensors" });
+}
