@@ -192,6 +192,35 @@ async fn a_temperature_in_a_datagram_reaches_history_page_metrics_and_view() {
     services.stop().expect_code(0);
 }
 
+/// Regression: the history waited for the next value, an hour later.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_history_that_starts_after_the_feed_stores_the_standing_temperature() {
+    let site = house();
+    let address = free_udp();
+    let source = format!(
+        "kind = \"udp\"\naddress = \"{address}\"\nformat = \"json\"\ntime-field = \"at\"\ntime-unit = \"ns\""
+    );
+    let configuration = configure(&site, &source);
+    let ingest = Process::start(&mut site.listening("ingest"));
+    ingest.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    let feed = start_feed(&site, &configuration);
+    feed.wait_for_log("state=\"connected\"");
+    let measured_ns = Clock::of_machine().now_ns() - 2 * SECOND_NS;
+    let line = format!("{{\"at\": {measured_ns}, \"t\": 2150}}");
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.send_to(line.as_bytes(), &address).unwrap();
+    let standing = within("a condition", latest(&bus, &site)).await;
+    assert_eq!(standing.time_ns, measured_ns);
+
+    let history = with_configuration(site.connecting("history"), &configuration);
+    let one = stored(&bus, &site, |span| !span.rows.mean.is_empty()).await;
+    assert_eq!(one.rows.mean, [21.5]);
+    history.stop().expect_code(0);
+    feed.stop().expect_code(0);
+    bus.close().await.unwrap();
+}
+
 /// Appends values of the temperature to a table `at,note,t`.
 fn append(path: &Path, t0_ns: i64, numbers: std::ops::Range<i64>) {
     let mut file = OpenOptions::new()

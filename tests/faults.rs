@@ -464,6 +464,8 @@ async fn a_failed_sensor_is_missing_until_it_returns() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_block_of_a_node_without_buffer_affects_no_other_samples() {
     const LOST: usize = 30;
+    /// Number of samples that the node has published before the services start.
+    const EARLIER: u64 = 5000;
     let site = Site::with(&two_storeys("[ingest]\nlateness-s = 3\n"));
     let mut record = site.simulate(8.0);
     let _services = site.run();
@@ -495,7 +497,7 @@ async fn a_lost_block_of_a_node_without_buffer_affects_no_other_samples() {
         header: Header {
             source: "floor-1".to_owned(),
             epoch: 1,
-            sequence: rows(block).start as u64,
+            sequence: EARLIER + rows(block).start as u64,
             time_ns: record.time_ns(rows(block).start),
         },
         sampling_rate_hz: 100.0,
@@ -529,7 +531,9 @@ async fn a_lost_block_of_a_node_without_buffer_affects_no_other_samples() {
         &offline.frames[..750],
         &streamed[..750],
     );
-    drops.expect(Service::Ingest, "lost-items", 10).await;
+    let drops = drops.expect(Service::Ingest, "lost-items", 10).await;
+    // Regression: ingest counted the earlier samples as lost.
+    assert_eq!(drops["lost-items"], 10, "{drops:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

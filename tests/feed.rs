@@ -14,7 +14,7 @@ use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
 use std::io::Write;
-use std::net::{TcpListener, UdpSocket};
+use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -26,10 +26,10 @@ const SECOND_NS: i64 = 1_000_000_000;
 /// Samples of a packet.
 const PACKET: i64 = 25;
 /// Number of random moments at which a feed is killed.
-const ROUNDS: usize = 10;
+pub(crate) const ROUNDS: usize = 10;
 
 /// Returns a time `seconds` ago, in whole steps.
-fn ago(seconds: i64) -> i64 {
+pub(crate) fn ago(seconds: i64) -> i64 {
     (Clock::of_machine().now_ns() - seconds * SECOND_NS) / STEP_NS * STEP_NS
 }
 
@@ -98,7 +98,7 @@ impl Shake {
 }
 
 /// The frames of ingest, in order.
-struct Frames {
+pub(crate) struct Frames {
     stream: spandrel_bus::Stream<FrameBlock>,
     /// Values by the number of the sample since `t0_ns`.
     found: BTreeMap<i64, Vec<f64>>,
@@ -106,7 +106,7 @@ struct Frames {
 }
 
 impl Frames {
-    async fn follow(bus: &Bus, site: &Site, t0_ns: i64) -> Self {
+    pub(crate) async fn follow(bus: &Bus, site: &Site, t0_ns: i64) -> Self {
         let keys = site.keys();
         let settings = bus.reading(Start::Beginning).patient();
         Self {
@@ -120,7 +120,7 @@ impl Frames {
     }
 
     /// Reads until sample `number` has arrived.
-    async fn up_to(&mut self, number: i64) {
+    pub(crate) async fn up_to(&mut self, number: i64) {
         let what = format!("frame with sample {number}");
         within(&what, async {
             while self
@@ -147,7 +147,7 @@ impl Frames {
 
     /// Checks all values against what the instrument sent, and returns the number of missing
     /// samples per channel.
-    fn missing(&self) -> [u64; 2] {
+    pub(crate) fn missing(&self) -> [u64; 2] {
         let mut missing = [0; 2];
         for (number, values) in &self.found {
             for (channel, value) in values.iter().enumerate() {
@@ -174,21 +174,21 @@ fn channels(labels: [&str; 2]) -> String {
 }
 
 /// Writes a configuration and returns its path.
-fn configure(site: &Site, text: &str) -> PathBuf {
+pub(crate) fn configure(site: &Site, text: &str) -> PathBuf {
     let path = site.folder().join("feed.toml");
     std::fs::write(&path, text).unwrap();
     path
 }
 
 /// Starts the feed of a configuration, and waits until it is ready.
-fn start_feed(site: &Site, configuration: &PathBuf) -> Process {
+pub(crate) fn start_feed(site: &Site, configuration: &PathBuf) -> Process {
     let mut command = site.connecting("feed");
     let feed = Process::start(command.arg("--config").arg(configuration));
     feed.wait_for_log("feed ready");
     feed
 }
 
-fn start_ingest(site: &Site) -> Process {
+pub(crate) fn start_ingest(site: &Site) -> Process {
     let ingest = Process::start(&mut site.listening("ingest"));
     ingest.wait_for_log("ready structures=1");
     ingest
@@ -208,7 +208,7 @@ fn of_shake(address: &str) -> String {
 }
 
 /// Adds up the reported gaps per channel, until they reach `expected`.
-async fn reported(events: &Subscription<Event>, expected: [u64; 2]) -> [u64; 2] {
+pub(crate) async fn reported(events: &Subscription<Event>, expected: [u64; 2]) -> [u64; 2] {
     let mut reported = [0; 2];
     let all = async {
         while reported != expected {
@@ -295,7 +295,7 @@ async fn gaps_of_a_feed_that_is_killed_at_random_moments_are_reported_to_the_sam
 }
 
 /// A logger that sends lines `t;a;b` to whoever reads, and goes on without a reader.
-struct Logger<W> {
+pub(crate) struct Logger<W> {
     stop: Arc<AtomicBool>,
     sent: Arc<AtomicI64>,
     /// The reader. A write error removes it.
@@ -304,8 +304,12 @@ struct Logger<W> {
 }
 
 impl<W: Write + Send + 'static> Logger<W> {
-    /// Sends 25 lines every 10 ms. `accept` returns the next reader if there is one.
-    fn start(t0_ns: i64, mut accept: impl FnMut() -> Option<W> + Send + 'static) -> Self {
+    /// Sends 25 lines every 10 ms. `accept` returns the next reader if there is one, and receives
+    /// whether there is a reader already.
+    pub(crate) fn start(
+        t0_ns: i64,
+        mut accept: impl FnMut(bool) -> Option<W> + Send + 'static,
+    ) -> Self {
         let (stop, sent, reader) = (
             Arc::new(AtomicBool::new(false)),
             Arc::new(AtomicI64::new(0)),
@@ -319,7 +323,7 @@ impl<W: Write + Send + 'static> Logger<W> {
                     .map(|number| line(t0_ns, number))
                     .collect();
                 let mut to: std::sync::MutexGuard<'_, Option<W>> = to.lock().unwrap();
-                if let Some(next) = accept() {
+                if let Some(next) = accept(to.is_some()) {
                     *to = Some(next);
                 }
                 if let Some(reader) = &mut *to
@@ -342,12 +346,12 @@ impl<W: Write + Send + 'static> Logger<W> {
     }
 
     /// Returns the number of samples so far.
-    fn sent(&self) -> i64 {
+    pub(crate) fn sent(&self) -> i64 {
         self.sent.load(Ordering::Relaxed)
     }
 
     /// Stops, closes the connection, and returns the number of samples.
-    fn stop(mut self) -> i64 {
+    pub(crate) fn stop(mut self) -> i64 {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.take().unwrap().join().unwrap();
         *self.reader.lock().unwrap() = None;
@@ -362,7 +366,7 @@ fn line(t0_ns: i64, number: i64) -> String {
 }
 
 /// Returns a source of these lines.
-fn of_lines(kind: &str) -> String {
+pub(crate) fn of_lines(kind: &str) -> String {
     format!(
         "[[feed.source]]\nname = \"logger\"\n{kind}\nformat = \"csv\"\nseparator = \";\"\n\
          columns = [\"t\", \"a\", \"b\"]\ntime-field = \"t\"\ntime-unit = \"ns\"\n"
@@ -385,12 +389,52 @@ async fn gaps_of_lines_over_tcp_are_reported_to_the_sample_when_the_feed_is_kill
     let mut frames = Frames::follow(&bus, &site, t0_ns).await;
     let source = of_lines(&format!("kind = \"tcp\"\naddress = \"{address}\""));
     let configuration = configure(&site, &source);
-    let logger = Logger::start(t0_ns, move || {
+    let logger = Logger::start(t0_ns, move |_| {
         let (stream, _) = listener.accept().ok()?;
         stream.set_nonblocking(false).unwrap();
         Some(stream)
     });
     let mut random = ChaCha8Rng::seed_from_u64(20_064);
+    for _ in 0..ROUNDS {
+        let feed = start_feed(&site, &configuration);
+        let more = random.random_range(200..2500);
+        frames.up_to(logger.sent() + more).await;
+        feed.kill();
+    }
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(logger.sent() + 500).await;
+    let sent = logger.stop();
+    frames.up_to(sent - 1).await;
+    let missing = frames.missing();
+    assert!(
+        missing[0] > 0,
+        "no samples were sent while the feed was stopped"
+    );
+    assert_eq!(reported(&events, missing).await, missing);
+    feed.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn gaps_of_lines_from_a_tcp_client_are_reported_to_the_sample_when_the_feed_is_killed() {
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let events = bus
+        .subscribe::<Event>(site.keys().event(), 256)
+        .await
+        .unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    drop(listener); // the feed listens there
+    let t0_ns = ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let source = of_lines(&format!("kind = \"tcp-server\"\naddress = \"{address}\""));
+    let configuration = configure(&site, &source);
+    let logger = Logger::start(t0_ns, move |is_connected| match is_connected {
+        true => None,
+        false => TcpStream::connect(address).ok(),
+    });
+    let mut random = ChaCha8Rng::seed_from_u64(20_067);
     for _ in 0..ROUNDS {
         let feed = start_feed(&site, &configuration);
         let more = random.random_range(200..2500);
@@ -423,7 +467,7 @@ async fn gaps_of_standard_input_are_reported_to_the_sample_when_the_feed_is_kill
     let mut frames = Frames::follow(&bus, &site, t0_ns).await;
     let configuration = configure(&site, &of_lines("kind = \"stdin\""));
     let (pipes, next) = std::sync::mpsc::channel();
-    let logger = Logger::start(t0_ns, move || next.try_recv().ok());
+    let logger = Logger::start(t0_ns, move |_| next.try_recv().ok());
     let start = || {
         let mut command = site.connecting("feed");
         let (feed, pipe) = Process::start_with_pipe(command.arg("--config").arg(&configuration));
@@ -732,6 +776,43 @@ async fn files_dropped_into_a_folder_are_read_once_in_the_order_of_their_times()
     frames.up_to(12_499).await;
     assert_eq!(frames.missing(), [0, 0]);
     assert_eq!(frames.found.len(), 12_500);
+    feed.stop().expect_code(0);
+}
+
+/// Regression: one task served all structures, and waited for the ingest of each.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_structure_without_ingest_does_not_delay_another_of_the_same_feed() {
+    let house = Site::with(HOUSE);
+    let shed = HOUSE.replace("name = \"house\"", "name = \"shed\"");
+    let shed = Site::with(&shed).at(&house);
+    let _ingest = start_ingest(&house);
+    let bus = house.join().await;
+    let t0_ns = ago(3600);
+    let of = |site: &Site, number: usize| {
+        append(&site.folder().join("log.csv"), t0_ns, 0..2000);
+        let structure = site.keys().structure().to_string();
+        let path = site.folder().join("log.csv");
+        of_file(path.to_str().unwrap(), "start")
+            .replace("\"log\"", &format!("\"log-{number}\""))
+            .replace(
+                "channel = ",
+                &format!("structure = \"{structure}\"\nchannel = "),
+            )
+    };
+    let configuration = configure(&house, &(of(&shed, 1) + &of(&house, 2)));
+    let mut command = house.connecting("feed");
+    command.arg(shed.structure_file());
+    let feed = Process::start(command.arg("--config").arg(configuration));
+    let mut frames = Frames::follow(&bus, &house, t0_ns).await;
+    frames.up_to(1999).await;
+    assert_eq!((frames.missing(), frames.found.len()), ([0, 0], 2000));
+
+    // The samples of the other structure have waited in their file.
+    let late = Process::start(&mut shed.connecting("ingest"));
+    late.wait_for_log("ready structures=1");
+    let mut frames = Frames::follow(&bus, &shed, t0_ns).await;
+    frames.up_to(1999).await;
+    assert_eq!((frames.missing(), frames.found.len()), ([0, 0], 2000));
     feed.stop().expect_code(0);
 }
 

@@ -1,9 +1,12 @@
 //! Instruments that publish to an MQTT broker. The broker is Mosquitto.
 
+use crate::feed::{self, Frames, Logger, ROUNDS, reported, start_feed, start_ingest};
 use crate::support::{DEADLINE, HOUSE, Process, Site, skip, within};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use spandrel_bus::{
-    Bus, ConditionDisplay, Delivery, FrameBlock, InstrumentState, Service, Start, Status, Stream,
-    TimeGrid,
+    Bus, ConditionDisplay, Delivery, Event, FrameBlock, InstrumentState, Service, Start, Status,
+    Stream, TimeGrid,
 };
 use spandrel_service::Clock;
 use std::collections::BTreeMap;
@@ -204,6 +207,58 @@ async fn json_messages_arrive_in_the_frames_as_they_were_published() {
         let sent = counts((time_ns - t0_ns) / STEP_NS).map(|count| count as f64 / 100.0);
         assert_eq!(values, sent);
     }
+    feed.stop().expect_code(0);
+}
+
+/// A message contains the lines of one write.
+impl Write for Instrument {
+    fn write(&mut self, lines: &[u8]) -> std::io::Result<usize> {
+        self.publish("house/a/acc", lines);
+        Ok(lines.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn gaps_of_messages_are_reported_to_the_sample_when_the_feed_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(broker) = Broker::start(folder.path(), "allow_anonymous true") else {
+        return;
+    };
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let events = bus.subscribe::<Event>(site.keys().event(), 256);
+    let events = events.await.unwrap();
+    let t0_ns = feed::ago(3600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let kind = format!(
+        "kind = \"mqtt\"\naddress = \"{}\"\ntopic = \"house/+/acc\"",
+        broker.address
+    );
+    let configuration = feed::configure(&site, &feed::of_lines(&kind));
+    let mut instrument = Some(broker.instrument());
+    let logger = Logger::start(t0_ns, move |_| instrument.take());
+    let mut random = ChaCha8Rng::seed_from_u64(20_068);
+    for _ in 0..ROUNDS {
+        let feed = start_feed(&site, &configuration);
+        let more = random.random_range(200..2500);
+        frames.up_to(logger.sent() + more).await;
+        feed.kill();
+    }
+    let feed = start_feed(&site, &configuration);
+    frames.up_to(logger.sent() + 500).await;
+    let sent = logger.stop();
+    frames.up_to(sent - 1).await;
+    let missing = frames.missing();
+    assert!(
+        missing[0] > 0,
+        "no samples were sent while the feed was stopped"
+    );
+    assert_eq!(reported(&events, missing).await, missing);
     feed.stop().expect_code(0);
 }
 

@@ -87,7 +87,7 @@ async fn wrong_samples_are_flagged_and_hardly_affect_the_estimate() {
         .subscribe(site.keys().outlier(&name("roof")), 1 << 14)
         .await
         .unwrap();
-    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    let mut reader = EstimateReader::join_patiently(&bus, &site.keys()).await;
     site.replay(&record, "max").wait().expect_code(0);
     let streamed = reader.read_to_end(1).await;
     let offline = site.estimate(&record);
@@ -145,7 +145,7 @@ async fn broken_sensor_is_reported_and_excluded() {
         .subscribe(site.keys().outlier(&name("floor-1")), 1 << 14)
         .await
         .unwrap();
-    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    let mut reader = EstimateReader::join_patiently(&bus, &site.keys()).await;
     site.replay(&record, "max").wait().expect_code(0);
     let (mean, _) = reader.read_to_end(1).await.last().unwrap().mean_and_std[0];
     let excluded = loop {

@@ -91,6 +91,12 @@ impl EstimateReader {
         Self::with_settings(bus, keys, StreamSettings::new(Start::Beginning)).await
     }
 
+    /// Joins a source that stores its estimates. On a busy machine, this reader waits for the source
+    /// as long as it takes, and does not give up its estimates.
+    pub async fn join_patiently(bus: &Bus, keys: &Keys) -> Self {
+        Self::with_settings(bus, keys, StreamSettings::new(Start::Beginning).patient()).await
+    }
+
     pub async fn with_settings(bus: &Bus, keys: &Keys, settings: StreamSettings) -> Self {
         let stream = bus
             .follow(keys.estimates(), keys.estimates_buffer(), settings)

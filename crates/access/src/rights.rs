@@ -207,8 +207,12 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::History => [
             each(Right::Subscribe, &DISPLAYED),
-            each(Right::Query, &[K::Alert, K::AlertLog]),
-            each(Right::Watch, &[K::Live(Service::Alert)]),
+            // A feed states its latest conditions.
+            each(Right::Query, &[K::Alert, K::AlertLog, K::Condition]),
+            each(
+                Right::Watch,
+                &[K::Live(Service::Alert), K::Live(Service::Feed)],
+            ),
             each(Right::Answer, &[K::History, K::HistoryLog]),
             // Events about its database.
             each(Right::Put, &[K::Event]),

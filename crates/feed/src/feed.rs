@@ -294,6 +294,7 @@ impl Feed {
                 packet,
                 plan: channel,
                 can_repeat: plan.kind.can_repeat(),
+                can_go_back: plan.kind.can_go_back(),
                 at,
             };
             let mut given = NodeOutput::default();
@@ -364,6 +365,7 @@ struct Delivery<'a> {
     packet: &'a Packet,
     plan: &'a ChannelPlan,
     can_repeat: bool,
+    can_go_back: bool,
     at: Moment,
 }
 
@@ -412,6 +414,7 @@ impl Delivery<'_> {
             at: self.at,
             tolerance_ns,
             can_repeat: self.can_repeat,
+            can_go_back: self.can_go_back,
             is_resynchronised: timed.resynchronised > 0,
         };
         if timed.skip > 0 {

@@ -33,6 +33,8 @@ pub(crate) struct Arrival {
     pub(crate) tolerance_ns: i64,
     /// Whether the source delivers earlier samples again after a restart.
     pub(crate) can_repeat: bool,
+    /// Whether earlier times mean that the clock of the source was set back.
+    pub(crate) can_go_back: bool,
     /// Whether the time of this packet was set again.
     pub(crate) is_resynchronised: bool,
 }
@@ -270,7 +272,12 @@ impl NodeFeed {
 
     /// Keeps samples whose times exist already, until it is clear whether they are repetitions or
     /// the clock was set back.
+    ///
+    /// Drops them at once if the clock of the source cannot go back.
     fn hold(&mut self, lane: usize, series: Series, arrival: Arrival, out: &mut NodeOutput) {
+        if !arrival.can_go_back {
+            return self.count("older-samples", series.values.len() as u64);
+        }
         let Some(state) = self.lanes.get(lane) else {
             return;
         };

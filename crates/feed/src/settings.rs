@@ -58,6 +58,67 @@ impl FeedConfig {
             || conditions.any(|condition| condition.structure == structure)
     }
 
+    /// Splits the configuration into parts that have no structure and no source in common.
+    pub(crate) fn parts(&self) -> Vec<Self> {
+        // The part of each structure is the first one that it is connected to by sources.
+        let mut part_of: Vec<usize> = (0..self.structures.len()).collect();
+        for source in &self.sources {
+            let structures = self.all_structures_of(source);
+            let joined: BTreeSet<usize> = structures
+                .iter()
+                .filter_map(|structure| part_of.get(*structure).copied())
+                .collect();
+            let Some(first) = joined.first() else {
+                continue;
+            };
+            for part in &mut part_of {
+                if joined.contains(part) {
+                    *part = *first;
+                }
+            }
+        }
+        let numbers: BTreeSet<usize> = part_of.iter().copied().collect();
+        let parts = numbers.into_iter().map(|number| {
+            let is_part = |structure: &usize| part_of.get(*structure) == Some(&number);
+            self.part(is_part)
+        });
+        parts.filter(|part| !part.sources.is_empty()).collect()
+    }
+
+    /// Returns the sources and nodes of some structures. The structures keep their indices.
+    fn part(&self, is_part: impl Fn(&usize) -> bool) -> Self {
+        let mut part = Self {
+            structures: self.structures.clone(),
+            ..Self::default()
+        };
+        let mut index_of = BTreeMap::new();
+        let nodes = self.nodes.iter().enumerate();
+        for (index, node) in nodes.filter(|(_, node)| is_part(&node.structure)) {
+            index_of.insert(index, part.nodes.len());
+            part.nodes.push(node.clone());
+        }
+        for source in &self.sources {
+            if !self.all_structures_of(source).iter().any(&is_part) {
+                continue;
+            }
+            let mut source = source.clone();
+            for channel in &mut source.channels {
+                channel.node = index_of.get(&channel.node).copied().unwrap_or(channel.node);
+            }
+            part.sources.push(source);
+        }
+        part
+    }
+
+    /// Returns the structures with a node or condition that a source feeds.
+    pub(crate) fn all_structures_of(&self, source: &SourcePlan) -> BTreeSet<usize> {
+        let conditions = source.conditions.iter();
+        let of_conditions = conditions.map(|condition| condition.structure);
+        let mut structures = self.structures_of(source);
+        structures.extend(of_conditions);
+        structures
+    }
+
     /// Returns the structures whose nodes a source feeds.
     pub(crate) fn structures_of(&self, source: &SourcePlan) -> BTreeSet<usize> {
         let channels = source.channels.iter();

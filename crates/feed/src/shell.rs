@@ -4,6 +4,7 @@ mod conditions;
 mod of_history;
 mod of_ingest;
 
+use std::panic::resume_unwind;
 use std::time::Duration;
 
 use spandrel_bus::{
@@ -13,6 +14,7 @@ use spandrel_bus::{
 use spandrel_service::{
     EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
 use tracing::{info, warn};
@@ -55,8 +57,17 @@ pub struct FeedPlan {
 }
 
 /// The feed of all sources of a process.
+///
+/// Structures without a common source have tasks of their own. A structure whose ingest is missing
+/// or slow, or whose instrument repeats a long backlog, does not delay the others.
 #[derive(Debug)]
 pub struct FeedService {
+    parts: Vec<Part>,
+}
+
+/// The sources of one structure, or of several structures that share a source.
+#[derive(Debug)]
+struct Part {
     bus: Bus,
     core: Feed,
     clocks: Clocks,
@@ -97,14 +108,70 @@ impl spandrel_service::Service for FeedService {
 
 impl FeedService {
     async fn start_from(plan: &FeedPlan) -> Result<Self, FeedError> {
+        let (config, epoch) = (&plan.config, plan.instance.clock.epoch());
+        let mut parts = Vec::new();
+        for of_part in config.parts() {
+            parts.push(Part::start(plan, of_part, epoch).await?);
+        }
+        for remark in &config.remarks {
+            warn!("{remark}");
+        }
+        info!(
+            sources = config.sources.len(),
+            nodes = config.nodes.len(),
+            "feed ready"
+        );
+        Ok(Self { parts })
+    }
+
+    async fn run_until(self, mut stop: Stop<'_>) -> Result<(), FeedError> {
+        let (stopped, stopping) = watch::channel(false);
+        let mut is_stopped = false;
+        // The set aborts its tasks when it is dropped.
+        let mut running = JoinSet::new();
+        for part in self.parts {
+            let mut stopping = stopping.clone();
+            let stop = async move {
+                // A dropped sender also means that the service stops.
+                let _ = stopping.wait_for(|is_stopped| *is_stopped).await;
+            };
+            running.spawn(part.run_until(Box::pin(stop)));
+        }
+        loop {
+            tokio::select! {
+                ended = running.join_next() => match ended {
+                    Some(Ok(ended)) => ended?,
+                    // The whole service restarts. Otherwise it would continue without the part.
+                    Some(Err(error)) => {
+                        if let Ok(panic) = error.try_into_panic() {
+                            resume_unwind(panic);
+                        }
+                    }
+                    None => break,
+                },
+                () = &mut stop, if !is_stopped => {
+                    is_stopped = true;
+                    stopped.send_replace(true);
+                }
+            }
+        }
+        if !is_stopped {
+            info!("all sources have ended");
+        }
+        info!("feed stopped");
+        Ok(())
+    }
+}
+
+impl Part {
+    async fn start(plan: &FeedPlan, config: FeedConfig, epoch: u64) -> Result<Self, FeedError> {
         let FeedPlan {
             instance,
             structures: monitored,
-            config,
             when_ended,
+            ..
         } = plan;
         let bus = &instance.bus;
-        let epoch = instance.clock.epoch();
         let (mut publishers, mut node_keys) = (Vec::new(), Vec::new());
         for node in &config.nodes {
             let Some(of) = monitored.get(node.structure) else {
@@ -144,21 +211,13 @@ impl FeedService {
         for key in node_keys {
             node_tokens.push(bus.announce(key).await?);
         }
-        for remark in &config.remarks {
-            warn!("{remark}");
-        }
-        info!(
-            sources = config.sources.len(),
-            nodes = config.nodes.len(),
-            "feed ready"
-        );
         Ok(Self {
             bus: bus.clone(),
-            core: Feed::new(config.clone(), epoch),
             clocks: Clocks::start(instance.clock),
             publishers,
             ahead: vec![Ahead::default(); config.nodes.len()],
-            conditions: Conditions::declare(bus, monitored, config).await?,
+            conditions: Conditions::declare(bus, monitored, &config).await?,
+            core: Feed::new(config, epoch),
             structures,
             node_tokens,
             when_ended: *when_ended,
@@ -250,7 +309,6 @@ impl FeedService {
                     None => {
                         have_ended = true;
                         if self.when_ended == WhenEnded::Stop {
-                            info!("all sources have ended");
                             return Ok(());
                         }
                     }
@@ -371,17 +429,7 @@ impl FeedService {
         for of in &self.structures {
             let (processed_ns, done) = self.core.published(of.index);
             let config = self.core.config();
-            let feeds = |source: &SourcePlan| {
-                let of_conditions = source
-                    .conditions
-                    .iter()
-                    .map(|condition| condition.structure);
-                let mut fed = config
-                    .structures_of(source)
-                    .into_iter()
-                    .chain(of_conditions);
-                fed.any(|structure| structure == of.index)
-            };
+            let feeds = |source: &SourcePlan| config.all_structures_of(source).contains(&of.index);
             let instruments = config
                 .sources
                 .iter()
@@ -402,7 +450,6 @@ impl FeedService {
     }
 
     async fn withdraw(self) -> Result<(), FeedError> {
-        info!("feed stopped");
         let tokens = self.structures.into_iter().map(|of| of.token);
         for token in self.node_tokens.into_iter().chain(tokens) {
             token.withdraw().await?;

@@ -233,6 +233,13 @@ impl SourceKind {
         }
     }
 
+    /// Returns `true` if samples with earlier times mean that the clock of the source was set back.
+    ///
+    /// The files of a folder may be dropped in any order, and each has its own times.
+    pub(crate) fn can_go_back(&self) -> bool {
+        !matches!(self, Self::Folder(_))
+    }
+
     /// Returns the kind and address for people.
     #[must_use]
     pub fn description(&self) -> String {

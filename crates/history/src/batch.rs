@@ -242,7 +242,8 @@ impl Collector {
                     self.push(Kind::Node, m.node.as_str(), m.time_ns, [distance, 0.0, 0.0]);
                 }
             }
-            Input::Condition(m) => self.take_condition(&m),
+            // The database stores only values that are newer than the last one.
+            Input::Condition(m) | Input::StandingCondition(m, _) => self.take_condition(&m),
             Input::Mode(m) => self.take_mode(&m),
             // The database stores a change once, however often it arrives.
             Input::Alert(alert) | Input::StandingAlert(alert) | Input::LoggedAlert(alert) => {
@@ -257,7 +258,6 @@ impl Collector {
             | Input::SensorHealth(_)
             | Input::Waveform(_)
             | Input::Spectrum(_)
-            | Input::StandingCondition(..)
             | Input::Judgement(_)
             | Input::Monitoring(_)
             | Input::Estimates(..)

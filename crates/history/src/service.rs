@@ -23,9 +23,9 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{debug, info, warn};
 
-/// The stored topics, and the log of the alert service. The log includes changes that were
-/// published during a loss of the link, and changes that an earlier run of this service did not
-/// write.
+/// The stored topics, the log of the alert service, and the latest conditions of each feed. The log
+/// includes changes that were published during a loss of the link, and changes that an earlier run
+/// of this service did not write.
 const NEEDS: Needs = Needs {
     topics: &[
         T::Parameters,
@@ -39,7 +39,7 @@ const NEEDS: Needs = Needs {
         T::Acknowledgements,
         T::Events,
     ],
-    services: &[Service::Alert],
+    services: &[Service::Alert, Service::Feed],
     logs: &[Service::Alert],
 };
 /// Interval at which messages are taken from the subscriptions.

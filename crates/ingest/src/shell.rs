@@ -105,6 +105,10 @@ pub struct IngestService {
     started: Instant,
     nodes: StreamGroup<SampleBlock>,
     last_heard: Vec<Duration>,
+    /// Whether a node has delivered something, in this or an earlier run of ingest.
+    has_begun: Vec<bool>,
+    /// Number of samples that nodes published before ingest began to read them.
+    earlier_samples: u64,
     signs: Vec<Sign>,
     /// Time until which no node is lost, because all tokens disappeared at once.
     patient_until: Duration,
@@ -299,6 +303,10 @@ impl IngestService {
                 timekeeping: allowed.map(|allowed| Timekeeping::new(allowed, node_count)),
                 started: Instant::now(),
                 last_heard: vec![Duration::ZERO; node_count],
+                has_begun: (0..node_count)
+                    .map(|node| places.get(node).is_some())
+                    .collect(),
+                earlier_samples: 0,
                 signs: vec![Sign::Present; node_count],
                 patient_until: Duration::ZERO,
                 all_gone: false,
@@ -399,9 +407,17 @@ impl IngestService {
         node: usize,
         delivery: Delivery<SampleBlock>,
     ) -> Result<(), IngestError> {
-        let Delivery::Block(block) = delivery else {
+        let has_begun = std::mem::replace(&mut self.has_begun[node], true);
+        let block = match delivery {
+            Delivery::Block(block) => block,
             // The stream has logged and counted the loss. The alignment treats it as a gap in time.
-            return Ok(());
+            Delivery::Gap(gap) => {
+                // A node without a buffer can run for days before ingest starts.
+                if !has_begun {
+                    self.earlier_samples = self.earlier_samples.saturating_add(gap.to - gap.from);
+                }
+                return Ok(());
+            }
         };
         self.pace = block.pace;
         if self.pace_heard.replace(block.pace) != Some(block.pace) {
@@ -590,6 +606,11 @@ impl IngestService {
         let mut drops: BTreeMap<String, u64> = self.core.counts().drops();
         for (reason, count) in self.nodes.counts().flat_map(|counts| counts.drops()) {
             *drops.entry(reason).or_default() += count;
+        }
+        let lost = drops.remove("lost-items").unwrap_or(0);
+        let lost = lost.saturating_sub(self.earlier_samples);
+        if lost > 0 {
+            drops.insert("lost-items".to_owned(), lost);
         }
         drops.extend(self.recorder.iter().flat_map(|recorder| recorder.drops()));
         if self.frames.refused_queries() > 0 {

@@ -131,6 +131,41 @@ pub struct OpenedLog {
     pub set_aside: Vec<PathBuf>,
 }
 
+/// Limits at which a segment is full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Limits {
+    bytes: u64,
+    chunks: u64,
+    /// Time span of the frames, ns.
+    span_ns: u64,
+}
+
+impl Limits {
+    fn new(settings: &LogSettings) -> Self {
+        Self {
+            bytes: settings.segment_bytes,
+            chunks: MOST_CHUNKS.into(),
+            span_ns: settings.segment_s.saturating_mul(NANOSECONDS),
+        }
+    }
+
+    /// Returns the limits of the first segment after the log is opened: a share that follows from
+    /// the name of the structure.
+    ///
+    /// Structures that start together would otherwise end all their segments at the same moment, on
+    /// the one thread that writes the recordings.
+    fn first_of(self, structure: &str) -> Self {
+        let share = u128::from(crc32fast::hash(structure.as_bytes())) + 1;
+        // The product of 64 and 33 bits fits, and the result is at most the limit.
+        let of = |limit: u64| u64::try_from((u128::from(limit) * share) >> 32).unwrap_or(limit);
+        Self {
+            bytes: of(self.bytes),
+            chunks: of(self.chunks).max(1),
+            span_ns: of(self.span_ns),
+        }
+    }
+}
+
 /// The end of the log.
 #[derive(Debug, Clone, Copy)]
 struct LogEnd {
@@ -150,6 +185,8 @@ pub struct FrameLog {
     end: Option<LogEnd>,
     segment: Option<OpenSegment>,
     segment_start_ns: i64,
+    /// Limits of the current segment.
+    limits: Limits,
     syncer: LogSyncer,
     note: Note,
 }
@@ -207,6 +244,7 @@ impl FrameLog {
             is_complete: note.is_complete(),
             ..found
         };
+        let limits = Limits::new(&settings).first_of(&stated.layout.structure);
         let end = opened.last.as_ref().map(LogEnd::of);
         let newest_ns = opened.last.as_ref().map(LoggedFrames::last_time_ns);
         let log = Self {
@@ -216,6 +254,7 @@ impl FrameLog {
             end,
             segment: None,
             segment_start_ns: 0,
+            limits,
             syncer: LogSyncer::new(folder),
             note,
         };
@@ -250,6 +289,7 @@ impl FrameLog {
         if self.is_full(start_ns) {
             // An incomplete end is cut off again if the disk is full. No frames are lost.
             let _ = self.end_segment();
+            self.limits = Limits::new(&self.settings);
         }
         self.note.written()?;
         let begins = self.segment.is_none();
@@ -386,11 +426,10 @@ impl FrameLog {
         let Some(segment) = &self.segment else {
             return false;
         };
-        let span_ns = self.settings.segment_s.saturating_mul(NANOSECONDS);
         let lasts_ns = u64::try_from(time_ns.saturating_sub(self.segment_start_ns)).unwrap_or(0);
-        segment.bytes() >= self.settings.segment_bytes
-            || segment.chunks() >= MOST_CHUNKS
-            || lasts_ns >= span_ns
+        segment.bytes() >= self.limits.bytes
+            || u64::from(segment.chunks()) >= self.limits.chunks
+            || lasts_ns >= self.limits.span_ns
     }
 
     /// Closes the current segment, if there is one.

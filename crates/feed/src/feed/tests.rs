@@ -1,11 +1,14 @@
 use spandrel_bus::{Block, InstrumentState, SampleBlock, TimeGrid};
+use spandrel_record::ReadOptions;
 
 use super::*;
 use crate::calibration::Calibration;
 use crate::core_input::{Link, Recorded};
 use crate::gap::GapReport;
 use crate::lines::LineFormat;
-use crate::source_plan::{ConditionPlan, NodePlan, SourceKind, SourcePlan, StructurePlan};
+use crate::source_plan::{
+    ConditionPlan, DropFolder, NodePlan, SourceKind, SourcePlan, StructurePlan,
+};
 
 /// 100 Hz.
 const STEP: i64 = 10_000_000;
@@ -235,6 +238,31 @@ fn clock_that_goes_back_begins_an_epoch_without_losing_samples() {
         .flat_map(|sample| [f64::from(sample); 2])
         .collect();
     assert_eq!(of_new_epoch, expected);
+}
+
+/// Regression: files that are dropped into a folder in another order began a new run.
+#[test]
+fn older_files_of_a_folder_are_dropped_and_begin_no_epoch() {
+    let mut config = feed().config().clone();
+    config.sources[0].kind = SourceKind::Folder(DropFolder {
+        path: "records".into(),
+        memory: "records.json".into(),
+        options: ReadOptions::default(),
+    });
+    let mut feed = Feed::new(config, 7);
+    let (mut out, mut now) = (Vec::new(), 0);
+    for number in (240..260).chain(0..40).chain(260..280) {
+        now += SECOND / 4;
+        for label in ["EHZ", "ENZ"] {
+            out.extend(send(&mut feed, &[packet(label, number)], at(now)));
+        }
+    }
+    feed.handle(Input::Stop, at(now), &mut out);
+    assert!(blocks(&out).iter().all(|block| block.header.epoch == 7));
+    let published: u64 = blocks(&out).iter().map(|block| block.count()).sum();
+    assert_eq!(published, 1000);
+    let expected = BTreeMap::from([("older-samples".to_owned(), 2000)]);
+    assert_eq!(feed.drops(0), expected);
 }
 
 #[test]

@@ -70,6 +70,63 @@ sign = -1
 }
 
 #[test]
+fn structures_that_share_a_source_form_a_part() {
+    let names = ["a", "b", "c", "d"];
+    let houses = names.map(|name| {
+        let text = HOUSE.replace("name = \"house\"", &format!("name = \"{name}\""));
+        let text = text + "[[condition]]\nname = \"air\"\nunit = \"degC\"\n";
+        Structure::parse(&text, Path::new("house.toml")).unwrap()
+    });
+    let channel = |structure: &str, channel: &str| {
+        format!(
+            "[[source.channel]]\nsource = \"{structure}-{channel}\"\nstructure = \"{structure}\"\n\
+             channel = \"{channel}\"\nsensitivity = 1\n"
+        )
+    };
+    let air = "[[source.condition]]\nsource = \"air\"\nstructure = \"a\"\ncondition = \"air\"\n";
+    let channels = [
+        channel("a", "roof"),
+        channel("b", "roof") + &channel("c", "roof"),
+        channel("b", "ground"),
+        channel("c", "ground") + air,
+    ];
+    let source = |(number, channels): (usize, &String)| {
+        format!(
+            "[[source]]\nname = \"{number}\"\nkind = \"tcp\"\naddress = \"127.0.0.1:{number}\"\n\
+             format = \"json\"\n{channels}"
+        )
+    };
+    let parts = |last: usize| {
+        let used = channels.get(..=last).unwrap();
+        let text: String = (1..).zip(used).map(source).collect();
+        let settings: FeedSettings = toml::from_str(&text).unwrap();
+        let parts = settings.check(&houses.each_ref()).unwrap().parts();
+        let brief = |part: FeedConfig| {
+            let sources = part.sources.iter().map(|source| source.name.clone());
+            let channels = part.sources.iter().flat_map(|source| &source.channels);
+            let nodes = channels.map(|channel| {
+                let node = part.nodes.get(channel.node).unwrap();
+                format!("{}-{}", names[node.structure], node.name)
+            });
+            (sources.collect::<String>(), nodes.collect::<Vec<_>>())
+        };
+        parts.into_iter().map(brief).collect::<Vec<_>>()
+    };
+    let nodes = |nodes: &[&str]| {
+        nodes
+            .iter()
+            .map(|&node| node.to_owned())
+            .collect::<Vec<_>>()
+    };
+    let a = ("1".to_owned(), nodes(&["a-roof"]));
+    let others = ("23".to_owned(), nodes(&["b-roof", "c-roof", "b-ground"]));
+    assert_eq!(parts(2), [a, others]);
+    // A condition of `a` connects all of them. Nothing feeds `d`.
+    let all = nodes(&["a-roof", "b-roof", "c-roof", "b-ground", "c-ground"]);
+    assert_eq!(parts(3), [("1234".to_owned(), all)]);
+}
+
+#[test]
 fn all_mistakes_are_reported_at_once_with_file_and_key() {
     let wrong = check(
         r#"

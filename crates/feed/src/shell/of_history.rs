@@ -6,7 +6,7 @@ use spandrel_bus::{HistorySpan, Keys, Name, Service, SpanQuery};
 use tokio::time::timeout;
 use tracing::{info, warn};
 
-use super::FeedService;
+use super::Part;
 use crate::core_input::Input;
 
 /// Timeout of a query to the history, and longest wait for the history to appear.
@@ -33,7 +33,7 @@ impl Stored {
     }
 }
 
-impl FeedService {
+impl Part {
     /// Queries the newest value of each condition whose source can repeat its values.
     pub(super) async fn stored(&self) -> Vec<Stored> {
         let mut stored = Vec::new();

@@ -7,7 +7,7 @@ use spandrel_bus::{Block, FrameBlock, Service, StreamState, is_without_date};
 use tokio::time::timeout;
 use tracing::{info, warn};
 
-use super::{FedStructure, FeedService};
+use super::{FedStructure, Part};
 use crate::core_input::Recorded;
 use crate::source_plan::SourcePlan;
 
@@ -18,7 +18,7 @@ const POSITION_ATTEMPTS: u32 = 5;
 /// Longest wait at a stop until ingest has processed the last samples.
 const PATIENCE_AFTER_STOP: Duration = Duration::from_secs(2);
 
-impl FeedService {
+impl Part {
     /// Queries the frames that exist already, for each structure that ingest records.
     pub(super) async fn recorded(&self) -> BTreeMap<usize, Recorded> {
         let mut recorded = BTreeMap::new();

@@ -347,7 +347,9 @@ fn a_condition_that_contradicts_the_structure_file_is_rejected_and_counted() {
     );
     assert_eq!(collector.unknown, 1);
     collector.handle(Input::Condition(air(0, 20.0)));
-    assert_eq!(collector.take(1).unwrap().repeatable.len(), 1);
+    let standing = Input::StandingCondition(air(1, 20.0), Duration::from_secs(60));
+    collector.handle(standing);
+    assert_eq!(collector.take(1).unwrap().repeatable.len(), 2);
 }
 
 fn alert(seconds: i64, state: AlertState) -> AlertMessage {

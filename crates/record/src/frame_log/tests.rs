@@ -7,6 +7,7 @@ mod model;
 mod recording;
 mod retention;
 mod sharing;
+mod spread;
 
 use std::path::{Path, PathBuf};
 
