@@ -4,8 +4,8 @@
 mod events;
 mod fit;
 mod hearing;
-mod reliability;
 mod motion;
+mod reliability;
 mod sensors;
 mod state;
 
@@ -17,8 +17,8 @@ use crate::pieces::MOST_ITEMS;
 use crate::screening::ScreeningView;
 use fit::FitView;
 use hearing::Hearing;
-use reliability::Reliability;
 use motion::Motion;
+use reliability::Reliability;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
     Block, ChannelState, Decimation, Estimate, EstimateBlock, EstimateFlags, Event, EventKind,

@@ -1,8 +1,8 @@
 //! The checkpoint state of an identification.
 
 use super::hearing::Hearing;
-use super::reliability::ReliabilityState;
 use super::motion::{Motion, MotionState};
+use super::reliability::ReliabilityState;
 use super::{Identification, Stream};
 use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
