@@ -4,10 +4,14 @@
 //! and the page fits a phone. The tests save screenshots in `target/screenshots`.
 
 mod chromium;
+mod compare;
 mod conditions;
+mod language;
 mod lasting;
 mod layout;
+mod map;
 mod mistakes;
+mod report;
 mod waveforms;
 mod workspace;
 

@@ -66,6 +66,26 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
             ),
         )
         .await;
+    let spectrogram = "document.querySelector('#plot-spectrogram-floor-2 canvas')";
+    browser.wait("the spectrogram", spectrogram).await;
+    browser
+        .wait(
+            "the highest density",
+            &format!(
+                "/ · highest density at [\\d.]+ Hz: [\\d.e-]+ \\(m\\/s²\\)²\\/Hz$/.test({})",
+                readout("spectrogram")
+            ),
+        )
+        .await;
+    // High densities are green and yellow, which nothing else in the plot is.
+    let colours = format!(
+        "(() => {{ const canvas = {spectrogram}; \
+           const {{ data }} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
+           let green = 0; \
+           for (let at = 0; at < data.length; at += 4) green += data[at + 1] > 150 && data[at + 1] > data[at] + 60 && data[at + 1] > data[at + 2] + 40; \
+           return green > 20; }})()"
+    );
+    browser.wait("the colours of densities", &colours).await;
     for scheme in ["light", "dark"] {
         browser.prefer(scheme).await;
         browser.screenshot(&format!("waveforms-{scheme}")).await;
@@ -113,4 +133,34 @@ async fn waveforms_are_sent_only_on_request() {
     browser.wait("the structures", shown).await;
     assert_eq!(browser.evaluate(&sent(false)).await, "true,false");
     assert_eq!(browser.evaluate(&sent(true)).await, "true,true");
+}
+
+/// A spectrum that arrives twice is shown once, and a new run of measurement begins anew.
+#[tokio::test(flavor = "multi_thread")]
+async fn spectra_over_time_are_collected_once() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    browser
+        .wait("the page", "document.querySelector('.structure-card')")
+        .await;
+    let times = |added: &str| {
+        format!(
+            "import('/spectrogram.js').then(({{ SpectrumHistory }}) => {{
+                const history = new SpectrumHistory('demo', null);
+                for (const time of {added}) history.add('floor-1', time, [1, 2], [0.5, null]);
+                const of = history.columns('floor-1').spectra.map(({{ time_s }}) => time_s);
+                return [of[0], of.at(-1), of.length];
+            }})"
+        )
+    };
+    let found = browser.evaluate(&times("[10, 20, 20, 30]")).await;
+    assert_eq!(found, serde_json::json!([10, 30, 3]));
+    let found = browser.evaluate(&times("[10, 20, 5, 15]")).await;
+    assert_eq!(found, serde_json::json!([5, 15, 2]));
+    let many = "Array.from({ length: 500 }, (_, index) => index)";
+    let found = browser.evaluate(&times(many)).await;
+    assert_eq!(found, serde_json::json!([320, 499, 180]));
 }

@@ -407,6 +407,11 @@ async fn axe_finds_no_obstacle_on_any_page() {
                 "#/structure/demo/parameters",
                 "#plot-parameter-storey-1 canvas",
             ),
+            (
+                "#/structure/demo/compare",
+                "#plot-compare-parameter-storey-1 canvas",
+            ),
+            ("#/report", ".chart"),
             ("#/structure/demo/model", "#group-agreement canvas"),
             ("#/structure/demo/sensors", "table.sensors td"),
             ("#/structure/demo/events", "table.events td"),

@@ -1,13 +1,16 @@
 //! Data from the structure file that the page needs. It does not change while the dashboard runs.
 
 use serde::Serialize;
-use spandrel_structure::{Drawing, Structure};
+use spandrel_structure::{Coordinates, Drawing, Structure};
 
 /// Description of a structure, without measurements.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct About {
     pub(crate) name: String,
     pub(crate) description: String,
+    /// Where the structure stands, in words; may be empty.
+    pub(crate) place: String,
+    pub(crate) coordinates: Option<Coordinates>,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
     /// Whether there is a model to identify. Without one, only natural frequencies are followed.
@@ -122,6 +125,8 @@ impl About {
         Self {
             name: structure.name().to_owned(),
             description: structure.description().to_owned(),
+            place: structure.location().to_owned(),
+            coordinates: structure.coordinates(),
             sampling_rate_hz: structure.sampling_rate_hz(),
             display_rate_hz: structure.display_rate_hz(),
             has_model: structure.is_filtered(),

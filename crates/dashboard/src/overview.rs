@@ -8,6 +8,7 @@ use spandrel_bus::{
     AlertMessage, AlertState, Event, EventKind, FitVerdict, MonitoringDisplay, MonitoringState,
     ReportPage, Service, Standing, UndecidedBecause,
 };
+use spandrel_structure::Coordinates;
 use std::time::Duration;
 
 /// Time after which a structure without any data counts as stale. Before, it may still be starting.
@@ -39,6 +40,8 @@ pub(crate) enum Level {
 pub(crate) struct Overview {
     pub(crate) name: String,
     pub(crate) description: String,
+    /// Where the structure stands, for the map. `None` if its file does not say.
+    pub(crate) coordinates: Option<Coordinates>,
     /// Whether there is a model to identify. Without one, only natural frequencies are followed.
     pub(crate) has_model: bool,
     pub(crate) level: Level,
@@ -183,6 +186,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
     Overview {
         name: store.about.name.clone(),
         description: store.about.description.clone(),
+        coordinates: store.about.coordinates,
         has_model: store.about.has_model,
         level,
         sentence,

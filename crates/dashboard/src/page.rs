@@ -132,6 +132,7 @@ pub(crate) async fn with_headers(mut response: Response) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::{BTreeMap, BTreeSet};
 
     #[test]
     fn page_requests_only_its_own_files() {
@@ -171,5 +172,71 @@ mod tests {
                 assert!(served(path), "{} names {name}", asset.path);
             }
         }
+    }
+
+    /// Returns the keys of a table of words, each with its words.
+    fn table(path: &str) -> BTreeMap<&'static str, &'static str> {
+        let asset = ASSETS.iter().find(|asset| asset.path == path).unwrap();
+        let entry = |line: &'static str| {
+            let (key, words) = line.trim().strip_prefix('"')?.split_once("\": \"")?;
+            Some((key, words.strip_suffix("\",")?))
+        };
+        let entries: Vec<_> = asset.content.lines().filter_map(entry).collect();
+        let table: BTreeMap<_, _> = entries.iter().copied().collect();
+        assert_eq!(table.len(), entries.len(), "{path} has a key twice");
+        table
+    }
+
+    /// Returns the places for values in some words.
+    fn places(words: &str) -> Vec<&str> {
+        let mut places: Vec<&str> = words
+            .split('{')
+            .skip(1)
+            .filter_map(|rest| rest.split('}').next())
+            .collect();
+        places.sort_unstable();
+        places
+    }
+
+    #[test]
+    fn every_language_has_the_same_words_with_the_same_values() {
+        let (english, german) = (table("/english.js"), table("/german.js"));
+        assert!(english.len() > 400, "{} words", english.len());
+        let keys = |table: &BTreeMap<&'static str, &'static str>| -> Vec<&'static str> {
+            table.keys().copied().collect()
+        };
+        assert_eq!(keys(&english), keys(&german));
+        for (key, words) in &english {
+            assert_eq!(places(words), places(german[key]), "{key}");
+        }
+    }
+
+    #[test]
+    fn every_word_of_the_page_is_in_the_tables_and_used() {
+        let english = table("/english.js");
+        let mut used = BTreeSet::new();
+        for asset in ASSETS
+            .iter()
+            .filter(|asset| !asset.path.starts_with("/uplot"))
+        {
+            for (start, _) in asset.content.match_indices("t(\"") {
+                let is_word = !asset.content[..start].ends_with(|one: char| one.is_alphanumeric());
+                let key = asset.content[start + 3..].split('"').next().unwrap();
+                if is_word {
+                    assert!(english.contains_key(key), "{}: {key}", asset.path);
+                    used.insert(key);
+                }
+            }
+            for rest in asset.content.split("data-words=\"").skip(1) {
+                let key = rest.split('"').next().unwrap();
+                assert!(english.contains_key(key), "{}: {key}", asset.path);
+                used.insert(key);
+            }
+        }
+        let unused: Vec<_> = english
+            .keys()
+            .filter(|key| !key.starts_with("word-") && !used.contains(*key))
+            .collect();
+        assert!(unused.is_empty(), "{unused:?}");
     }
 }

@@ -115,23 +115,29 @@ impl Series {
     }
 
     /// Returns the points from one time to another, both inclusive, combined to at most `most`.
+    ///
+    /// Older and recent points are combined to the same distance in time. Otherwise, plots would
+    /// take the longer distance of the older points for gaps.
     pub(crate) fn span(&self, from_ns: i64, to_ns: i64, most: usize) -> Table {
         let fine_from = self.fine.times_ns.front().copied().unwrap_or(i64::MAX);
-        let mut all = Table {
-            width: self.combine.len(),
-            ..Table::default()
-        };
-        let older = self
-            .coarse
-            .within(from_ns, to_ns.min(fine_from.saturating_sub(1)));
+        let before_fine = to_ns.min(fine_from.saturating_sub(1));
+        let older = self.coarse.within(from_ns, before_fine);
         let newer = self.fine.within(from_ns, to_ns);
-        for (table, rows) in [(&self.coarse, older), (&self.fine, newer)] {
-            for row in rows {
-                all.times_ns.push_back(table.times_ns[row]);
-                all.values.extend(table.row(row));
-            }
+        if older.is_empty() || older.len() + newer.len() <= most {
+            let mut all = self.coarse.combined(older, usize::MAX, self.combine);
+            all.append(self.fine.combined(newer, most, self.combine));
+            return all;
         }
-        all.combined(0..all.len(), most, self.combine)
+        let rows = |each: usize| older.len().div_ceil(each) + newer.len().div_ceil(each * COMBINED);
+        let all = older.len() + newer.len();
+        let fewest = all.div_ceil(COMBINED * most.max(1)).max(1);
+        let each = (fewest..all)
+            .find(|each| rows(*each) <= most)
+            .unwrap_or(all);
+        let mut table = self.coarse.combined_by(older, each, self.combine);
+        let newer = self.fine.combined_by(newer, each * COMBINED, self.combine);
+        table.append(newer);
+        table.combined(0..table.len(), most, self.combine)
     }
 }
 
@@ -206,11 +212,16 @@ impl Table {
 
     /// Combines neighbouring rows until at most `most` remain.
     fn combined(&self, rows: std::ops::Range<usize>, most: usize, combine: &[Combine]) -> Self {
+        let each = rows.len().div_ceil(most.max(1)).max(1);
+        self.combined_by(rows, each, combine)
+    }
+
+    /// Combines each `each` neighbouring rows.
+    fn combined_by(&self, rows: std::ops::Range<usize>, each: usize, combine: &[Combine]) -> Self {
         let mut out = Self {
             width: self.width,
             ..Self::default()
         };
-        let each = rows.len().div_ceil(most.max(1)).max(1);
         let mut start = rows.start;
         while start < rows.end {
             let end = (start + each).min(rows.end);
@@ -280,6 +291,25 @@ mod tests {
         assert_eq!(times.len(), 1_400 + FINE_KEPT);
         // No point is counted twice, and only points not yet combined are missing.
         assert_eq!(table.column(1).sum::<f64>(), 20_000.0);
+    }
+
+    /// Regression test: the distance of older points was ten times that of recent ones, so that
+    /// plots showed them as gaps.
+    #[test]
+    fn points_of_a_span_have_the_same_distance() {
+        let series = ramp(20_000);
+        for most in [2, 10, 400, 1_000, 3_000] {
+            let table = series.span(0, i64::MAX, most);
+            let times: Vec<i64> = table.times_ns().collect();
+            assert!(times.len() <= most, "{} points of {most}", times.len());
+            assert_eq!(table.column(1).sum::<f64>(), 20_000.0);
+            let steps: Vec<i64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let (least, largest) = (steps.iter().min().unwrap(), steps.iter().max().unwrap());
+            // The last row of each part may be shorter.
+            let usual = steps[0];
+            let short = steps.iter().filter(|step| **step < usual).count();
+            assert!(short <= 2 && *largest == usual, "{least} to {largest}");
+        }
     }
 
     #[test]

@@ -21,6 +21,7 @@ mod model;
 mod node;
 mod outliers;
 mod parameter;
+mod place;
 mod record;
 mod response;
 mod simulation;
@@ -164,6 +165,7 @@ impl<'t> StructureFile<'t> {
             section.finish();
             name
         });
+        place::read_place(file.table("place"));
         let table = file.required_table("judge");
         let plan = judge::read_judge(table);
         file.finish();
@@ -330,12 +332,14 @@ impl<'t> StructureFile<'t> {
         );
         let conditions = condition::read_conditions(&mut file);
         let earthquakes = earthquakes::read_earthquakes(file.table("earthquakes"), &nodes);
+        let coordinates = place::read_place(file.table("place"));
         file.finish();
         Some(Structure {
             text: self.text.to_owned(),
             name: head.name?,
             description: head.description,
             place: head.place,
+            coordinates,
             sampling_rate_hz: head.rate_hz?,
             display_rate_hz: head.display_rate_hz,
             system: system?.clone(),

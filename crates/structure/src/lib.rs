@@ -49,6 +49,7 @@
 
 mod alert_rule;
 mod condition;
+mod coordinates;
 mod earthquake_plan;
 mod error;
 mod estimated_response;
@@ -110,6 +111,7 @@ pub use check::{
 pub use classes::StructureClasses;
 pub use common_motion::CommonMotion;
 pub use condition::Condition;
+pub use coordinates::Coordinates;
 pub use drawing::{Drawing, DrawingForm, DrawnMember, DrawnPoint, DrawnSensor};
 pub use earthquake_plan::EarthquakePlan;
 pub use error::{Diagnostic, StructureError};

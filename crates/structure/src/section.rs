@@ -63,6 +63,16 @@ impl Allowed {
         low: Bound::Included(-10_000.0),
         high: Bound::Included(10_000.0),
     };
+    /// Range of latitudes (degrees).
+    pub(crate) const LATITUDE: Self = Self {
+        low: Bound::Included(-90.0),
+        high: Bound::Included(90.0),
+    };
+    /// Range of longitudes (degrees).
+    pub(crate) const LONGITUDE: Self = Self {
+        low: Bound::Included(-180.0),
+        high: Bound::Included(180.0),
+    };
     /// Range from 0 to below 1.
     pub(crate) const SHARE: Self = Self {
         low: Bound::Included(0.0),

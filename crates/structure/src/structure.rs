@@ -4,6 +4,7 @@ use crate::alert_rule::AlertRule;
 use crate::classes::ClassesPlan;
 use crate::computed::Computed;
 use crate::condition::Condition;
+use crate::coordinates::Coordinates;
 use crate::earthquake_plan::EarthquakePlan;
 use crate::error::{Diagnostic, StructureError};
 use crate::estimated_response::EstimatedResponse;
@@ -46,6 +47,7 @@ pub struct Structure {
     pub(crate) name: String,
     pub(crate) description: String,
     pub(crate) place: String,
+    pub(crate) coordinates: Option<Coordinates>,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
     pub(crate) system: LinearSystem,
@@ -127,6 +129,12 @@ impl Structure {
         &self.place
     }
 
+    /// Returns the coordinates from the file, if it states them.
+    #[must_use]
+    pub fn coordinates(&self) -> Option<Coordinates> {
+        self.coordinates
+    }
+
     /// Returns `true` if there is a model to identify. Without one, only natural frequencies are
     /// followed.
     #[must_use]
@@ -160,7 +168,8 @@ impl Structure {
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
     /// It is the file without its comments, alert rules, conditions, earthquakes, followed modes,
-    /// simulation, record table, description and place, followed by the matrices that it names.
+    /// simulation, record table, description, place and coordinates, followed by the matrices that
+    /// it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
@@ -170,6 +179,7 @@ impl Structure {
             "condition",
             "earthquakes",
             "modal",
+            "place",
             "simulation",
             "record",
         ] {

@@ -1,0 +1,113 @@
+//! Reports of a period.
+
+use super::browser;
+use super::layout::demo;
+use serde_json::json;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_report_contains_everything_about_a_period_and_prints() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    browser.prefer("dark").await;
+    browser
+        .open(&format!("{}#/structure/demo", demo.page))
+        .await;
+    browser
+        .wait(
+            "the end of the demo",
+            "document.body.innerText.includes('no new data')",
+        )
+        .await;
+    browser
+        .evaluate("document.getElementById('nav-report').click()")
+        .await;
+    let complete = "document.querySelector('.report[data-state=complete]')";
+    browser.wait("the report", complete).await;
+    browser.screenshot("report-dark").await;
+    browser.prefer("light").await;
+    browser.screenshot("report-light").await;
+
+    // All plots are there, although most are outside the window.
+    let lines = "[...document.querySelectorAll('.charts figure')].map((one) => [one.querySelector('figcaption').firstChild.textContent, one.querySelector('.line').getAttribute('d').split('L').length > 100])";
+    let names = [
+        "damping", "storey-1", "storey-2", "storey-3", "storey-4", "storey-5",
+    ];
+    assert_eq!(
+        browser.evaluate(lines).await,
+        json!(names.map(|name| json!([name, true])))
+    );
+    let rows = |table: &str| {
+        format!(
+            "[...document.querySelectorAll('.report-part [aria-label={table:?}] tbody tr')].map((row) => [...row.children].map((cell) => cell.textContent))"
+        )
+    };
+    // The estimates at the end are those of the history.
+    let parameters = browser
+        .evaluate(&rows("Parameters at the end of the period"))
+        .await;
+    let last = "fetch('/api/structures/demo/history?series=parameter/storey-2&points=20000').then((reply) => reply.json()).then(({ series }) => series[0].data.slice(1).map((column) => column.at(-1)))";
+    let last = browser.evaluate(last).await;
+    let (mean, std) = (last[0].as_f64().unwrap(), last[1].as_f64().unwrap());
+    let storey = &parameters[2];
+    assert_eq!(storey[0], "storey-2");
+    assert_eq!(storey[1], "▲ raised");
+    assert_eq!(storey[2], format!("{mean:.3} ± {std:.3}"));
+    assert_eq!(parameters[0][1], "– no alert rule");
+    let alerts = browser.evaluate(&rows("No alert.")).await;
+    let raised = alerts.as_array().unwrap().last().unwrap();
+    assert_eq!(raised[1], "storey-2");
+    let words = raised[2].as_str().unwrap();
+    assert!(words.starts_with("▲ raised storey-2 has lost 1"), "{words}");
+    let sensors = browser.evaluate(&rows("Sensors")).await;
+    assert_eq!(sensors.as_array().unwrap().len(), 6);
+    let events = browser.evaluate(&rows("No event is known.")).await;
+    assert!(!events.as_array().unwrap().is_empty());
+
+    // In print, the form and the bar are hidden, and colours are those of paper.
+    let print = json!({"media": "print"});
+    browser.call("Emulation.setEmulatedMedia", print).await;
+    let hidden = "['.bar', '.report-form'].map((one) => getComputedStyle(document.querySelector(one)).display)";
+    assert_eq!(browser.evaluate(hidden).await, json!(["none", "none"]));
+    let empty = "[...document.querySelectorAll('.chart')].filter((one) => one.getBoundingClientRect().height < 50).length";
+    assert_eq!(browser.evaluate(empty).await, 0);
+    let pdf = json!({"preferCSSPageSize": true});
+    let pdf = browser.call("Page.printToPDF", pdf).await;
+    assert!(
+        pdf["data"].as_str().unwrap().starts_with("JVBERi0"),
+        "no PDF"
+    );
+    browser
+        .call("Emulation.setEmulatedMedia", json!({"media": ""}))
+        .await;
+
+    // An event selects the time around it, and the address keeps it.
+    let choose = "(() => { const select = document.getElementById('report-event'); \
+        const raised = [...select.options].find((one) => one.textContent.includes('storey-2 ▲ raised')); \
+        select.value = raised.value; select.dispatchEvent(new Event('change')); return Number(raised.value); })()";
+    let at = browser.evaluate(choose).await.as_f64().unwrap();
+    let hash = format!(
+        "#/report?structures=demo&from={:.3}&to={:.3}",
+        at - 60.0,
+        at + 60.0
+    );
+    browser
+        .wait("the address", &format!("location.hash === '{hash}'"))
+        .await;
+    let period =
+        "document.querySelector('.report[data-state=complete] .period')?.textContent ?? ''";
+    browser
+        .wait("the period", &format!("{period}.endsWith('(2 min)')"))
+        .await;
+    browser.reload().await;
+    browser
+        .wait("the same period", &format!("{period}.endsWith('(2 min)')"))
+        .await;
+    browser.resize(390, 844).await;
+    let width = "document.documentElement.scrollWidth";
+    assert_eq!(browser.evaluate(width).await, 390);
+    browser.screenshot("report-phone").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
