@@ -50,8 +50,8 @@ const ONSET: f64 = 9.0;
 /// Factor on the smallest mean square, which chance makes too small.
 const OF_QUIETEST: f64 = 1.15;
 
-/// Mean square, as a multiple of the variance of the noise, up to which the response must confirm a
-/// measured excitation.
+/// Mean square, as a multiple of the variance of the noise, up to which excitation and response can
+/// be noise, so that the floors must confirm a motion of the ground.
 const CONFIRMED: f64 = 16.0;
 
 /// Smallest ratio of the mean square of a floor to that of the ground below it, in the band.
@@ -318,7 +318,7 @@ impl Reliability {
             };
             let motion = (mean_square - noise).max(0.0);
             let confirmed = match of_floors {
-                _ if mean_square > CONFIRMED * noise => motion,
+                _ if mean_square > CONFIRMED * noise || response > CONFIRMED => motion,
                 Some(most) if moves_floors => motion.min(most / AMPLIFICATION),
                 Some(_) | None => motion,
             };
