@@ -243,7 +243,16 @@ async fn an_isolated_run_accepts_samples_but_no_forged_results() {
     sensors.put(0..ROWS).await;
     for service in [Service::Identify, Service::Alert] {
         let status = drops.when_done(service, ROWS as u64).await;
-        assert!(status.drops.is_empty(), "{service:?}: {:?}", status.drops);
+        // A busy machine drops blocks, which the services fetch again.
+        let fetched = ["duplicate-items", "fetched-items", "unkept-blocks"];
+        let reasons: Vec<_> = status.drops.keys().collect();
+        assert!(
+            reasons
+                .iter()
+                .all(|reason| fetched.contains(&reason.as_str())),
+            "{service:?}: {:?}",
+            status.drops
+        );
     }
     assert!(
         alerts.try_recv().unwrap().is_none(),

@@ -73,7 +73,7 @@ function showAlerts({ structures }) {
   document.title = raised > 0 && !page?.title ? `▲ ${raised} – ${title}` : title;
   if (raisedBefore !== null && raised > raisedBefore) {
     const first = structures.find((structure) => structure.raised > 0);
-    setText(document.getElementById("announce"), t("announce-alarm", first.name, first.sentence));
+    document.getElementById("announce").replaceChildren(t("announce-alarm", first.name), h("span", { lang: "en" }, first.sentence));
   }
   raisedBefore = raised;
 }

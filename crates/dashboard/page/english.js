@@ -46,7 +46,7 @@ export const english = {
   "and-more": "; and {0} more",
   "and-outside-experience": " · outside experience",
   "and-since-the-change": " · since the change",
-  "announce-alarm": "Alarm, {0}: {1}",
+  "announce-alarm": "Alarm, {0}: ",
   "arrow-keys-move-the-crosshair-shift-and": "arrow keys move the crosshair, shift and arrow keys move the span, plus and minus zoom, home returns to the newest data",
   "at-the-frames": "at the frames",
   "axis-time": "time ({0})",

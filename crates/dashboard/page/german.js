@@ -46,7 +46,7 @@ export const german = {
   "and-more": "; und {0} weitere",
   "and-outside-experience": " · außerhalb der Erfahrung",
   "and-since-the-change": " · seit der Veränderung",
-  "announce-alarm": "Alarm, {0}: {1}",
+  "announce-alarm": "Alarm, {0}: ",
   "arrow-keys-move-the-crosshair-shift-and": "Pfeiltasten bewegen das Fadenkreuz, mit der Umschalttaste den Zeitraum, Plus und Minus vergrößern und verkleinern, Pos1 führt zu den neuesten Daten",
   "at-the-frames": "zu den Abtastzeiten",
   "axis-time": "Zeit ({0})",

@@ -93,7 +93,7 @@ fn structures_that_share_a_source_form_a_part() {
     let source = |(number, channels): (usize, &String)| {
         format!(
             "[[source]]\nname = \"{number}\"\nkind = \"tcp\"\naddress = \"127.0.0.1:{number}\"\n\
-             format = \"json\"\n{channels}"
+             format = \"json\"\njitter-s = 0.01\n{channels}"
         )
     };
     let parts = |last: usize| {

@@ -13,7 +13,7 @@
 //!
 //! The mean square `P` of the samples estimates `s² + σ²`. If the sensor is noisier than stated, it
 //! seems to show a motion of the ground. But the ground moves the floors, which amplify its motion, so
-//! that `s²` is at most a share of what they show beyond their noise.
+//! that `s²` is at most a share of their mean square.
 //!
 //! Below a reliability of a half, the level of the excitation is uncertain by as much as the motion
 //! of the structure would be informative. The parameters then learn only from a free vibration that
@@ -50,8 +50,8 @@ const ONSET: f64 = 9.0;
 /// Factor on the smallest mean square, which chance makes too small.
 const OF_QUIETEST: f64 = 1.15;
 
-/// Mean square, as a multiple of the variance of the noise, up to which excitation and response can
-/// be noise, so that the floors must confirm a motion of the ground.
+/// Mean square, as a multiple of the variance of the noise, up to which the floors must confirm a
+/// motion of the ground.
 const CONFIRMED: f64 = 16.0;
 
 /// Smallest ratio of the mean square of a floor to that of the ground below it, in the band.
@@ -298,8 +298,7 @@ impl Reliability {
             };
             response = response.max(mean_square / noise);
             if *is_floor {
-                let motion = (mean_square - noise).max(0.0);
-                of_floors = Some(motion.max(of_floors.unwrap_or(0.0)));
+                of_floors = Some(mean_square.max(of_floors.unwrap_or(0.0)));
             }
         }
         let mut most_reliable: Option<f64> = None;
@@ -318,7 +317,7 @@ impl Reliability {
             };
             let motion = (mean_square - noise).max(0.0);
             let confirmed = match of_floors {
-                _ if mean_square > CONFIRMED * noise || response > CONFIRMED => motion,
+                _ if mean_square > CONFIRMED * noise => motion,
                 Some(most) if moves_floors => motion.min(most / AMPLIFICATION),
                 Some(_) | None => motion,
             };
