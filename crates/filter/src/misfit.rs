@@ -369,6 +369,21 @@ impl MisfitState {
     }
 }
 
+/// How the parameters remember one step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Memory {
+    pub(crate) fading: FadingFactor,
+    /// `false` if [`Workspace::unlearn`] has taken the corrections back.
+    pub(crate) teaches: bool,
+}
+
+/// Prior standard deviation and largest variance of each entry of the state (n).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PriorSpread<'a> {
+    pub(crate) std: &'a DVector<f64>,
+    pub(crate) variance_bound: &'a DVector<f64>,
+}
+
 /// What one step has learnt about a parameter.
 #[derive(Debug, Clone, Copy)]
 struct Learnt {
@@ -446,12 +461,26 @@ impl Workspace {
         }
     }
 
-    /// Takes the corrections of the parameters back, because this step cannot teach anything.
-    pub(crate) fn unlearn(&mut self, mean: &mut DVector<f64>, covariance: &mut DMatrix<f64>) {
+    /// Takes back the corrections and the fading of the parameters, because this step cannot teach
+    /// anything.
+    ///
+    /// If the memory faded while the structure is at rest, the first weak motion after it would move
+    /// the parameters freely.
+    pub(crate) fn unlearn(
+        &mut self,
+        fading: FadingFactor,
+        mean: &mut DVector<f64>,
+        covariance: &mut DMatrix<f64>,
+    ) {
         let first = mean.len() - self.scores.len();
         for j in 0..self.scores.len() {
             mean[first + j] -= self.corrections[j];
             covariance[(first + j, first + j)] += self.gains[j];
+        }
+        let of_parameter = fading.value().sqrt().recip();
+        for j in first..mean.len() {
+            covariance.row_mut(j).scale_mut(of_parameter);
+            covariance.column_mut(j).scale_mut(of_parameter);
         }
         for values in [
             &mut self.scores,
@@ -468,14 +497,13 @@ impl Workspace {
         &self,
         state: &mut MisfitState,
         settings: &MisfitSettings,
-        fading: FadingFactor,
-        prior_std: &DVector<f64>,
-        variance_bound: &DVector<f64>,
+        memory: Memory,
+        prior: PriorSpread<'_>,
         mean: &mut DVector<f64>,
         covariance: &mut DMatrix<f64>,
     ) {
         let first = mean.len() - self.scores.len();
-        let segment_steps = segment_steps(fading);
+        let segment_steps = segment_steps(memory.fading);
         for j in 0..self.scores.len() {
             let at = first + j;
             if let Some(segment_steps) = segment_steps {
@@ -487,12 +515,17 @@ impl Workspace {
                 continue;
             }
             let learnt = Learnt {
-                prior: prior_std[at] * prior_std[at],
-                bound: variance_bound[at],
+                prior: prior.std[at] * prior.std[at],
+                bound: prior.variance_bound[at],
                 before,
                 information: self.information[j],
             };
-            let believed = state.weigh(j, settings, fading.value(), learnt);
+            let fades = if memory.teaches {
+                memory.fading.value()
+            } else {
+                1.0
+            };
+            let believed = state.weigh(j, settings, fades, learnt);
             if believed < 1.0 {
                 mean[at] -= (1.0 - believed) * self.corrections[j];
                 covariance[(at, at)] += (1.0 - believed) * self.gains[j];
@@ -536,9 +569,14 @@ mod tests {
             scratch.temper(
                 &mut state,
                 &SETTINGS,
-                fading,
-                &prior_std,
-                &variance_bound,
+                Memory {
+                    fading,
+                    teaches: true,
+                },
+                PriorSpread {
+                    std: &prior_std,
+                    variance_bound: &variance_bound,
+                },
                 &mut mean,
                 &mut covariance,
             );

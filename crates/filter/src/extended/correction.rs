@@ -7,6 +7,7 @@ use crate::dense::diagonal_to;
 use crate::error::FilterError;
 use crate::fading::bound_variances_mut;
 use crate::fit::{Shown, ShownParameters};
+use crate::misfit::{Memory, PriorSpread};
 use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::ExcitationPath;
 use crate::outlier::OutlierState;
@@ -85,7 +86,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         } = work;
         scratch.read(&update.variances, p_ht, update.whitened());
         if !*teaches {
-            scratch.unlearn(mean, covariance);
+            scratch.unlearn(settings.fading, mean, covariance);
         }
         let is_excitation_known = !state.last_excitation.iter().any(|sample| sample.is_nan());
         let jumped = misfit.take(
@@ -97,9 +98,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         scratch.temper(
             misfit,
             misfit_settings,
-            settings.fading,
-            &settings.prior_std,
-            &settings.variance_bound,
+            Memory {
+                fading: settings.fading,
+                teaches: *teaches,
+            },
+            PriorSpread {
+                std: &settings.prior_std,
+                variance_bound: &settings.variance_bound,
+            },
             mean,
             covariance,
         );

@@ -98,7 +98,8 @@ impl Workspace {
         Ok(Self {
             propagator,
             update: update::Workspace::new(n, channels, inputs, settings.covariance_form),
-            objective: Objective::new(channels, settings.noise.parameters.len()),
+            objective: Objective::new(channels, settings.noise.parameters.len())
+                .with_inputs(inputs),
             covariance: DMatrix::zeros(n, n),
             mean: DVector::zeros(n),
             inputs: DMatrix::zeros(n, 1 + inputs),

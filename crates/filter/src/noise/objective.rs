@@ -92,6 +92,13 @@ impl Objective {
         }
     }
 
+    /// Allocates the scratch space for an excitation with `inputs` components.
+    pub(crate) fn with_inputs(mut self, inputs: usize) -> Self {
+        self.reliability = vec![1.0; inputs];
+        self.excitation = DMatrix::zeros(inputs, inputs);
+        self
+    }
+
     /// Sets the reliability `κ` (N_f) of the excitation at the coming frames. Without it, `κ` is 1.
     pub(crate) fn set_reliability(&mut self, reliability: &[f64]) {
         self.reliability.clear();
@@ -125,7 +132,10 @@ impl Objective {
                 NoiseTarget::Sensors => pattern.copy_from(&parameter.pattern),
                 NoiseTarget::Excitation => {
                     pattern.fill(0.0);
-                    excitation.clone_from(&parameter.pattern);
+                    if excitation.shape() != parameter.pattern.shape() {
+                        *excitation = parameter.pattern.clone();
+                    }
+                    excitation.copy_from(&parameter.pattern);
                     scale_symmetric_mut(excitation, &self.reliability);
                     match path {
                         ExcitationPath::Felt => {}
