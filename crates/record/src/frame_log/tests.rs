@@ -78,6 +78,13 @@ fn open_with(folder: &Path, settings: LogSettings) -> FrameLog {
     FrameLog::open(folder, layout(), settings).unwrap().0
 }
 
+/// Opens a log whose first segment is as long as the later ones.
+fn open_with_full_first_segment(folder: &Path, settings: LogSettings) -> FrameLog {
+    let mut log = open_with(folder, settings);
+    log.limits = Limits::new(&settings);
+    log
+}
+
 /// Returns settings with one append per segment.
 fn short_segments() -> LogSettings {
     LogSettings {
@@ -458,7 +465,7 @@ fn new_segment_starts_after_the_limit_of_bytes_or_time() {
         segment_s: 10,
         ..LogSettings::default()
     };
-    let mut log = open_with(folder.path(), settings);
+    let mut log = open_with_full_first_segment(folder.path(), settings);
     for from in (0..5000).step_by(100) {
         log.append(&[frames(1, from, 100)]).unwrap(); // a second each
     }
@@ -468,7 +475,7 @@ fn new_segment_starts_after_the_limit_of_bytes_or_time() {
         rows_of(&[frames(1, 0, 5000)])
     );
     drop(log);
-    let mut log = open_with(
+    let mut log = open_with_full_first_segment(
         folder.path(),
         LogSettings {
             segment_bytes: 20_000,

@@ -16,7 +16,7 @@ fn append_live(log: &mut FrameLog) {
 #[test]
 fn open_segment_keeps_little_memory_per_chunk() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut log, _) = open(folder.path());
+    let mut log = open_with_full_first_segment(folder.path(), LogSettings::default());
     let held = allocation_counter::measure(|| append_live(&mut log));
     assert!(
         held.bytes_current < 20 * CHUNKS as i64,
@@ -44,7 +44,7 @@ fn open_segment_keeps_little_memory_per_chunk() {
 #[test]
 fn index_in_the_file_matches_its_chunks() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut log, _) = open(folder.path());
+    let mut log = open_with_full_first_segment(folder.path(), LogSettings::default());
     append_live(&mut log);
     log.append(&[
         frames(1, 5 * CHUNKS, 5),
