@@ -248,15 +248,17 @@ impl SensorCheck {
             .map(|(channel, _)| channel)
     }
 
-    /// Returns `true` if a channel is suspected that does not count as faulty yet.
+    /// Returns `true` if a used channel is suspected that does not count as faulty yet. `is_used`
+    /// receives the index of a channel in a frame.
     ///
     /// This is also the case if a channel measures a motion that no other channel follows.
     #[must_use]
-    pub fn is_in_doubt(&self) -> bool {
+    pub fn is_in_doubt(&self, is_used: impl Fn(usize) -> bool) -> bool {
         let suspected = |health: &ChannelHealth| {
             health.soundness != Soundness::Faulty && health.probability > IN_DOUBT
         };
-        self.state.health.iter().flatten().any(suspected)
+        let mut health = self.state.health.iter().enumerate();
+        health.any(|(channel, health)| health.as_ref().is_some_and(suspected) && is_used(channel))
             || self.state.groups.iter().any(|group| group.is_incoherent)
     }
 

@@ -7,6 +7,7 @@ mod hearing;
 mod motion;
 mod reliability;
 mod sensors;
+mod spikes;
 mod state;
 
 use crate::display::noise_display;
@@ -28,6 +29,7 @@ use spandrel_bus::{
 use spandrel_faults::SensorCheck;
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
+use spikes::Spikes;
 
 /// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
 /// keeps the parameters.
@@ -159,6 +161,7 @@ pub struct Identification {
     /// Number of frames since a parameter was last clipped, if ever.
     since_clipped: Option<u64>,
     check: SensorCheck,
+    spikes: Spikes,
     /// Observation rows that are never used.
     left_out: Vec<usize>,
     /// Frames until the parameters are identified again after a restart without a faulty sensor, 0
@@ -332,6 +335,7 @@ impl Identification {
                 .collect(),
             since_clipped: None,
             check,
+            spikes: Spikes::default(),
             left_out: Vec::new(),
             settling: 0,
             compared,
@@ -490,7 +494,7 @@ impl Identification {
     fn enter_epoch(&mut self, block: &FrameBlock, outputs: &mut Vec<Output>) {
         if self.stream.is_some() {
             self.estimator.forget_motion();
-            self.check.forget_motion();
+            self.forget_sensors();
             self.reset_band_limit();
             if let Some(motion) = &mut self.motion {
                 motion.restart();
@@ -627,7 +631,7 @@ impl Identification {
         }
         if done == to && forgets {
             self.estimator.forget_motion();
-            self.check.forget_motion();
+            self.forget_sensors();
             self.reset_band_limit();
         }
         if let Some(stream) = &mut self.stream {
@@ -655,6 +659,13 @@ impl Identification {
             Err(refusal) => format!("filter could not be restarted: {refusal}"),
         };
         self.event(time_ns, EventKind::Restart, &what, why)
+    }
+
+    /// Discards the samples by which the sensors are compared, because the next ones do not follow
+    /// them.
+    fn forget_sensors(&mut self) {
+        self.check.forget_motion();
+        self.spikes.forget();
     }
 
     fn reset_band_limit(&mut self) {

@@ -1,6 +1,7 @@
 //! The check of the sensors against each other, and its consequences.
 
 use super::hearing::Hearing;
+use super::spikes::Sample;
 use super::{Identification, Output};
 use crate::error::IdentifyError;
 use spandrel_bus::{
@@ -18,6 +19,9 @@ use std::ops::Range;
 /// their prior, and a filter with fewer sensors does not always return.
 const HELD: f64 = 0.01;
 
+/// Maximum share of spikes among the recent samples of a channel.
+const MOST_SPIKES: f64 = 0.5;
+
 impl Identification {
     /// Checks the sensors with the measured values of a frame. Returns `true` if the filter was
     /// restarted without a faulty sensor.
@@ -27,27 +31,21 @@ impl Identification {
         values: &[f64],
         outputs: &mut Vec<Output>,
     ) -> bool {
-        let mut values = std::borrow::Cow::Borrowed(values);
-        if let Some(outliers) = self.estimator.outliers() {
-            let rows = outliers.channels().iter().zip(&self.observation_channels);
-            for (_, channel) in rows.filter(|(screen, _)| screen.verdict() == Verdict::Outlier) {
-                values.to_mut()[*channel] = f64::NAN; // a spike is no fault of the whole channel
-            }
-        }
-        let changes = self.check.take(&values);
+        let changes = self.compare_sensors(values);
         let excluded = |change: &Change| {
             change.now == Soundness::Faulty && self.observation_channels.contains(&change.channel)
         };
-        let excludes = changes.iter().any(excluded);
+        // Samples that the screening has rejected are not part of the estimates.
+        let restarts = { changes.iter() }.any(|one| excluded(one) && self.uses(one.channel));
         for change in changes {
             outputs.extend(self.tell_sensor(time_ns, change));
         }
-        let released = self.settling == 1 && !excludes;
+        let released = self.settling == 1 && !restarts;
         self.settling = self.settling.saturating_sub(1);
         if released {
             return self.estimator.set_parameter_std(1.0).is_ok();
         }
-        if excludes {
+        if restarts {
             let restarted = self.estimator.restart();
             let held = restarted.and_then(|()| self.estimator.set_parameter_std(HELD));
             outputs.push(self.told_restart(
@@ -57,7 +55,40 @@ impl Identification {
             ));
             self.settling = (self.check.window_s() * self.rate_hz()) as u64;
         }
-        excludes
+        restarts
+    }
+
+    /// Returns `false` if the screening already rejects all samples of the channel as those of a
+    /// faulty sensor.
+    fn uses(&self, channel: usize) -> bool {
+        let row = self
+            .observation_channels
+            .iter()
+            .position(|of_row| *of_row == channel);
+        let screened = self.estimator.outliers().zip(row);
+        !screened.is_some_and(|(outliers, row)| outliers.channels()[row].faulty())
+    }
+
+    /// Compares the sensors by a frame, or by the one before it if spikes are removed. Returns the
+    /// changes that it causes.
+    fn compare_sensors(&mut self, values: &[f64]) -> Vec<Change> {
+        let Some(outliers) = self.estimator.outliers() else {
+            return self.check.take(values);
+        };
+        // A spike is no fault of the whole channel.
+        let unpredicted = values.iter().map(|value| Sample::unpredicted(*value));
+        let mut samples: Vec<Sample> = unpredicted.collect();
+        for (screen, channel) in outliers.channels().iter().zip(&self.observation_channels) {
+            samples[*channel].residual = screen.residual();
+            // Spikes are rare. A channel with more rejected samples has another cause.
+            samples[*channel].is_rejected =
+                screen.verdict() == Verdict::Outlier && screen.rejected_share() < MOST_SPIKES;
+        }
+        if !self.spikes.take(&mut samples) {
+            return Vec::new();
+        }
+        let values: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
+        self.check.take(&values)
     }
 
     fn rate_hz(&self) -> f64 {
@@ -134,7 +165,7 @@ impl Identification {
             let mut measured = self.excitation_channels.iter().flatten();
             measured.any(|channel| self.is_faulty(*channel))
         };
-        self.check.is_in_doubt() || self.settling > 0 || faulty_ground()
+        self.check.is_in_doubt(|channel| self.uses(channel)) || self.settling > 0 || faulty_ground()
     }
 
     /// Returns the channels that the check excludes.

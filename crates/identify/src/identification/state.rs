@@ -3,6 +3,7 @@
 use super::hearing::Hearing;
 use super::motion::{Motion, MotionState};
 use super::reliability::ReliabilityState;
+use super::spikes::Spikes;
 use super::{Identification, Stream};
 use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
@@ -28,6 +29,7 @@ pub struct IdentificationState {
     last_values: Vec<f64>,
     since_clipped: Option<u64>,
     sensors: SensorCheckState,
+    spikes: Spikes,
     settling: u64,
     reliability: ReliabilityState,
     motion: Option<MotionState>,
@@ -36,7 +38,7 @@ pub struct IdentificationState {
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 7;
+    pub const VERSION: u16 = 8;
 }
 
 impl Identification {
@@ -58,6 +60,7 @@ impl Identification {
             last_values: self.last_values.clone(),
             since_clipped: self.since_clipped,
             sensors: self.check.state().clone(),
+            spikes: self.spikes.clone(),
             settling: self.settling,
             reliability: self.reliability.state().clone(),
             motion: self.motion.as_ref().map(Motion::state),
@@ -108,6 +111,13 @@ impl Identification {
                 expected: 1,
             });
         }
+        if !state.spikes.fits(self.last_values.len()) {
+            return Err(FilterError::Dimension {
+                what: "frames of a checkpoint without spikes (0: of other channels, 1: of the structure file)",
+                found: 0,
+                expected: 1,
+            });
+        }
         self.reliability.restore(state.reliability)?;
         self.estimator.restore(state.estimator)?;
         self.band_limit = state.band_limit;
@@ -124,6 +134,7 @@ impl Identification {
         self.hearing = state.hearing;
         self.last_values = state.last_values;
         self.since_clipped = state.since_clipped;
+        self.spikes = state.spikes;
         self.settling = state.settling;
         if let Some((motion, state)) = self.motion.as_mut().zip(state.motion) {
             motion.restore(state);

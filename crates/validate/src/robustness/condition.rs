@@ -285,8 +285,8 @@ conditions![
     "outliers-masses-off-loss-40" "[outliers]; each mass up to 10 % off; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { s.outliers = true; random_masses(b, seed); lose(b, 3, 0.4) };
     "masses-off-loss-40" "each mass up to 10 % off; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { random_masses(b, seed); lose(b, 3, 0.4) };
     "outliers-spikes" "[outliers]; a tenth of the samples of each floor are wrong", DURATION_S, Expected::WrongModel { decided: Some(0.95) }, |b, s, seed| { s.outliers = true; spikes(b, 0.1) };
-    "outliers-spikes-loss-10" "[outliers]; a tenth of the samples of each floor are wrong; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { s.outliers = true; spikes(b, 0.1); lose(b, 2, 0.1) };
-    "outliers-spikes-loss-40" "[outliers]; a tenth of the samples of each floor are wrong; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { s.outliers = true; spikes(b, 0.1); lose(b, 3, 0.4) };
+    "outliers-spikes-loss-10" "[outliers]; a tenth of the samples of each floor are wrong; storey 2 loses 10 %", SUDDEN_S, FOUND, |b, s, seed| { s.outliers = true; spikes(b, 0.1); lose_late(b, 2, 0.1) };
+    "outliers-spikes-loss-40" "[outliers]; a tenth of the samples of each floor are wrong; storey 3 loses 40 % at once", SUDDEN_S, sudden(14.5), |b, s, seed| { s.outliers = true; spikes(b, 0.1); lose_late(b, 3, 0.4) };
     "outliers-dead-floor-2" "[outliers]; the sensor of floor 2 dies", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 2, FaultKind::Dead) };
     "outliers-dead-floor-5" "[outliers]; the sensor of floor 5 dies", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 5, FaultKind::Dead) };
     "outliers-gain-floor-3" "[outliers]; the sensor of floor 3 loses 30 % of its gain", DURATION_S, WRONG, |b, s, seed| { s.outliers = true; fault(b, 3, FaultKind::Gain(0.7)) };
