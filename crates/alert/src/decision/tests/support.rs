@@ -362,9 +362,11 @@ fn raised_alert_states_that_the_stiffness_is_still_falling_until_the_jump_ends()
 #[test]
 fn normal_state_during_a_jump_claims_no_falling_stiffness() {
     let mut drive = Drive::new(Rule::new(0.05, 0.95, 0.5, 0.0).unwrap());
-    drive.flagged(0..1, SOUND, SURE, jumping());
-    let why = &drive.alerts[0].why;
-    assert_eq!(drive.states(), [(Normal, 0)]);
+    drive
+        .flagged(0..2, SOFT, SURE, jumping())
+        .flagged(2..3, SOUND, SURE, jumping());
+    assert_eq!(drive.states(), [(Pending, 0), (Normal, 2)]);
+    let why = &drive.alerts[1].why;
     assert!(
         why.contains(": loss 0 % of its stiffness (95 %") && !why.contains("still"),
         "{why}"
