@@ -444,6 +444,60 @@ fn root_that_is_not_a_name_is_rejected() {
     finished.expect_told(&["\"a/b\"", "'/'"]);
 }
 
+/// Regression test: addresses that are none ended the program with 1, as if a retry could help.
+#[test]
+fn addresses_that_are_none_are_bad_usage() {
+    let site = Site::with(&two_storeys(""));
+    let free = ["--listen", "tcp/127.0.0.1:0"];
+    for (option, address) in [
+        ("--http", "8080"),
+        ("--http", "127.0.0.1:99999"),
+        ("--listen", "tcp/127.0.0.1"),
+        ("--listen", "tcp/127.0.0.1:99999"),
+        ("--connect", "tcp/127.0.0.1"),
+    ] {
+        let mut command = spandrel("run");
+        command.arg(site.structure_file()).args(free);
+        finish(command.args([option, address]))
+            .expect_code(BAD_INPUT)
+            .expect_told(&[address, "such as"]);
+    }
+}
+
+#[test]
+fn baseline_of_another_structure_is_named_once() {
+    let rule = "[[alert]]\nparameters = \"all\"\nloss = 0.1\nreference = { learn-s = 5 }\n";
+    let site = Site::with(&two_storeys(rule));
+    let record = site.simulate(25.0);
+    let baseline = site.folder().join("house.baseline.json");
+    let mut command = spandrel("baseline");
+    command
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path());
+    finish(command.args(["--skip", "0", "--output"]).arg(&baseline)).expect_code(0);
+    let text = std::fs::read_to_string(&baseline).unwrap();
+    std::fs::write(&baseline, text.replace("\"house\"", "\"barn\"")).unwrap();
+    let mut command = spandrel("estimate");
+    command
+        .arg(site.structure_file())
+        .arg("--record")
+        .arg(record.path());
+    let finished = finish(command.arg("--baseline").arg(&baseline)).expect_code(BAD_INPUT);
+    let finished = finished.expect_told(&["house.baseline.json", "`barn`", "`house`"]);
+    assert!(!finished.stderr.contains("lacks"), "{}", finished.stderr);
+}
+
+#[test]
+fn client_without_an_endpoint_is_bad_usage() {
+    let site = Site::with(&two_storeys(""));
+    let mut command = spandrel("run");
+    command.env("SPANDREL_BUS__MODE", "client");
+    finish(command.arg(site.structure_file()))
+        .expect_code(BAD_INPUT)
+        .expect_told(&["--connect", "--listen", "--certificate"]);
+}
+
 #[test]
 fn no_structure_at_all_is_bad_usage() {
     finish(&mut spandrel("run"))

@@ -163,7 +163,7 @@ impl Frames {
 }
 
 /// Returns the channels of a source, with 100 counts per m/s².
-fn channels(labels: [&str; 2]) -> String {
+pub(crate) fn channels(labels: [&str; 2]) -> String {
     let channel = |label: &str, channel: &str| {
         format!(
             "[[feed.source.channel]]\nsource = \"{label}\"\nchannel = \"{channel}\"\n\

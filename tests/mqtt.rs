@@ -1,6 +1,8 @@
 //! Instruments that publish to an MQTT broker. The broker is Mosquitto.
 
-use crate::feed::{self, Frames, Logger, ROUNDS, reported, start_feed, start_ingest};
+use crate::feed::{
+    self, Frames, Logger, ROUNDS, ago, channels, reported, start_feed, start_ingest,
+};
 use crate::support::{DEADLINE, HOUSE, Process, Site, skip, within};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -8,7 +10,6 @@ use spandrel_bus::{
     Bus, ConditionDisplay, Delivery, Event, FrameBlock, InstrumentState, Service, Start, Status,
     Stream, TimeGrid,
 };
-use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -108,29 +109,16 @@ fn send(stream: &mut TcpStream, kind: u8, body: &[u8]) {
     stream.write_all(&packet).unwrap();
 }
 
-fn ago(seconds: i64) -> i64 {
-    (Clock::of_machine().now_ns() - seconds * 1_000_000_000) / STEP_NS * STEP_NS
-}
-
 fn configure(site: &Site, address: &str, more: &str) -> PathBuf {
-    let channel = |label: &str, channel: &str| {
-        format!(
-            "[[feed.source.channel]]\nsource = \"{label}\"\nchannel = \"{channel}\"\nsensitivity = 100\n"
-        )
-    };
     let text = format!(
         "[[feed.source]]\nname = \"broker\"\nkind = \"mqtt\"\naddress = \"{address}\"\ntopic = \"house/+/acc\"\n{more}\n"
-    ) + &channel("x", "ground")
-        + &channel("y", "roof");
-    let path = site.folder().join("feed.toml");
-    std::fs::write(&path, text).unwrap();
-    path
+    ) + &channels(["x", "y"]);
+    feed::configure(site, &text)
 }
 
 async fn start(more: &str, address: &str) -> (Site, Process, Process, Bus) {
     let site = Site::with(HOUSE);
-    let ingest = Process::start(&mut site.listening("ingest"));
-    ingest.wait_for_log("ready structures=1");
+    let ingest = start_ingest(&site);
     let bus = site.join().await;
     let path = configure(&site, address, more);
     let feed = Process::start(site.connecting("feed").arg("--config").arg(path));
@@ -233,7 +221,7 @@ async fn gaps_of_messages_are_reported_to_the_sample_when_the_feed_is_killed() {
     let bus = site.join().await;
     let events = bus.subscribe::<Event>(site.keys().event(), 256);
     let events = events.await.unwrap();
-    let t0_ns = feed::ago(3600);
+    let t0_ns = ago(3600);
     let mut frames = Frames::follow(&bus, &site, t0_ns).await;
     let kind = format!(
         "kind = \"mqtt\"\naddress = \"{}\"\ntopic = \"house/+/acc\"",
@@ -270,8 +258,7 @@ async fn a_temperature_beside_the_samples_is_a_condition() {
     };
     let air = "[[condition]]\nname = \"air\"\nunit = \"degC\"\n";
     let site = Site::with(&format!("{HOUSE}\n{air}"));
-    let ingest = Process::start(&mut site.listening("ingest"));
-    ingest.wait_for_log("ready structures=1");
+    let _ingest = start_ingest(&site);
     let bus = site.join().await;
     let values = bus.subscribe::<ConditionDisplay>(site.keys().all_conditions(), 64);
     let values = values.await.unwrap();

@@ -3,7 +3,7 @@
 
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, BusConfig, CredibleInterval, Keys, LatestPublisher, Name,
-    ParameterDisplay,
+    ParameterDisplay, Service,
 };
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
@@ -201,6 +201,23 @@ async fn watch_reports_a_silent_bus_once() {
     assert_eq!(
         line,
         "no messages yet below site: no service or sensor is running"
+    );
+}
+
+/// Regression test: the line said that no service or sensor is running.
+#[tokio::test(flavor = "multi_thread")]
+async fn watch_of_an_unknown_structure_lists_the_known_ones() {
+    let site = Site::open().await;
+    let token = site.keys.live(Service::Ingest, &name("a"));
+    let _token = site.bus.announce(token).await.unwrap();
+    let line = site
+        .watch(&["nosuch"])
+        .line("structures with running services", async || {})
+        .await;
+    assert_eq!(
+        line,
+        "no messages yet of nosuch below site: no service or sensor of it is running; structures \
+         with running services: tower"
     );
 }
 

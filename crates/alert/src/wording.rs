@@ -29,7 +29,10 @@ pub(crate) fn describe(
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
     };
-    let how_much = match alert.follows_jump && alert.undecided_because.is_none() {
+    // A normal or cleared state claims no loss that could still fall.
+    let has_lost = !matches!(alert.state, AlertState::Normal | AlertState::Cleared);
+    let follows = alert.follows_jump && alert.undecided_because.is_none();
+    let how_much = match has_lost && follows {
         true => followed(quantity, loss, alert, before.alert),
         false => format!(
             "{} of its {quantity} ({})",

@@ -121,6 +121,13 @@ pub enum BusError {
         /// The endpoint.
         endpoint: String,
     },
+    /// A client has no endpoint to connect to.
+    #[error(
+        "a client requires an endpoint to connect to; set --connect (bus.connect), or set --listen \
+         (bus.listen) for a process that accepts connections; with --certificate and without \
+         --listen, a process is a client"
+    )]
+    ClientWithoutEndpoint,
     /// A certificate cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
@@ -143,6 +150,9 @@ pub enum BusError {
              --connect {endpoint}; otherwise choose another port with {place}, or port 0 for a \
              free one"
         ),
+        ErrorKind::InvalidInput => format!(
+            "state an endpoint such as tcp/127.0.0.1:7447 with {place}"
+        ),
         _ => format!("choose another address of this machine with {place}"),
     })]
     Listen {
@@ -154,10 +164,15 @@ pub enum BusError {
         reason: std::io::Error,
     },
     /// No program replies at an endpoint.
-    #[error(
-        "no reply from {endpoint}: {reason}; start spandrel run, spandrel demo or a router there, \
-         or set the address of one with {place}"
-    )]
+    #[error("no reply from {endpoint}: {reason}; {}", match reason.kind() {
+        ErrorKind::InvalidInput => format!(
+            "state an endpoint such as tcp/127.0.0.1:7447 with {place}"
+        ),
+        _ => format!(
+            "start spandrel run, spandrel demo or a router there, or set the address of one with \
+             {place}"
+        ),
+    })]
     Unreachable {
         /// The endpoint.
         endpoint: String,
@@ -234,6 +249,10 @@ impl BusError {
             // A corrected clock or a new certificate resolves this error, so a service manager must
             // retry.
             Self::Tls(TlsError::NotInTime { .. }) => false,
+            // An endpoint that is not an address cannot become one.
+            Self::Listen { reason, .. } | Self::Unreachable { reason, .. } => {
+                reason.kind() == ErrorKind::InvalidInput
+            }
             Self::ConfigFile { .. }
             | Self::Setting { .. }
             | Self::Root { .. }
@@ -247,6 +266,7 @@ impl BusError {
             | Self::NoCertificateAsked { .. }
             | Self::Multicast
             | Self::NoCertificates { .. }
+            | Self::ClientWithoutEndpoint
             | Self::Tls(_) => true,
             _ => false,
         }

@@ -253,15 +253,15 @@ pub enum Malformed {
         found: f64,
     },
     /// A value lies outside its range.
-    #[error("{what} is {found}, must lie between {low} and {high}")]
+    #[error("{what} is {found}, must {}", bounds(*low, *high))]
     Range {
         /// Name of the field.
         what: &'static str,
         /// Value found.
         found: f64,
-        /// Minimum.
+        /// Minimum. [`f64::MIN`] if there is none.
         low: f64,
-        /// Maximum.
+        /// Maximum. [`f64::MAX`] if there is none.
         high: f64,
     },
     /// A unit of a condition is unknown.
@@ -417,6 +417,16 @@ fn check_finite_or_missing(what: &'static str, values: &[f64]) -> Result<(), Mal
     match values.iter().find(|v| v.is_infinite()) {
         Some(&found) => Err(Malformed::NotFinite { what, found }),
         None => Ok(()),
+    }
+}
+
+/// Returns the bounds of a range in words. The largest numbers, which are no bounds, have 309 digits.
+fn bounds(low: f64, high: f64) -> String {
+    match (low > f64::MIN, high < f64::MAX) {
+        (true, true) => format!("lie between {low} and {high}"),
+        (true, false) => format!("be at least {low}"),
+        (false, true) => format!("be at most {high}"),
+        (false, false) => "be finite".to_owned(),
     }
 }
 

@@ -148,6 +148,9 @@ impl BusConfig {
         if let Some(found) = self.lease_s.filter(|seconds| !LEASES_S.contains(seconds)) {
             return Err(BusError::Lease { found });
         }
+        if self.config_file.is_none() && self.mode == Mode::Client && self.connect.is_empty() {
+            return Err(BusError::ClientWithoutEndpoint);
+        }
         let mut config = match &self.config_file {
             Some(path) => {
                 zenoh::Config::from_file(path).map_err(|source| BusError::ConfigFile {

@@ -70,8 +70,8 @@ pub fn time_ns(text: &str) -> Option<i64> {
         return Some(time_ns);
     }
     if let Ok(seconds) = text.parse::<f64>() {
-        // The cast saturates at the limits of i64.
-        return (!seconds.is_nan()).then_some((seconds * 1e9) as i64);
+        let ns = seconds * NS_PER_S as f64;
+        return (ns.abs() < i64::MAX as f64).then_some(ns as i64);
     }
     let of_calendar = || {
         text.parse::<DateTime>()
@@ -221,6 +221,9 @@ mod tests {
             );
         }
         assert_eq!(time_ns("1e9"), Some(1_000_000_000_000_000_000));
+        for out_of_range in ["1e10", "-1e300", "inf", "99999999999999"] {
+            assert_eq!(time_ns(out_of_range), None, "{out_of_range}");
+        }
         assert_eq!(
             (time_ns("-0.25"), time_ns("0.0000000019")),
             (Some(-250_000_000), Some(1))

@@ -93,6 +93,10 @@ impl DashboardError {
     /// Returns `true` if a file, an argument or a setting of the user is the cause.
     #[must_use]
     pub fn is_bad_input(&self) -> bool {
+        // An invalid address, unlike one in use, does not become valid later.
+        if let Self::Listen { source, .. } = self {
+            return source.kind() == io::ErrorKind::InvalidInput;
+        }
         matches!(
             self,
             Self::Unprotected { .. }

@@ -237,6 +237,25 @@ impl SensorCheck {
         changes
     }
 
+    /// Returns the length of data (s) that the first comparison of a channel requires, if the data
+    /// since the last gap are shorter. `None` if they are long enough, or if the channel is not
+    /// checked.
+    ///
+    /// `channel` is an index in a frame.
+    #[must_use]
+    pub fn required_s(&self, channel: usize) -> Option<f64> {
+        let groups = self.groups.iter().zip(&self.state.groups);
+        let required = groups
+            .filter(|(group, _)| group.channels.contains(&channel))
+            .map(|(group, state)| {
+                let is_short = state.memories.iter().all(|memory| memory.added() < FIRST);
+                let windows = 1.0 + (FIRST - 1) as f64 / OVERLAP as f64;
+                is_short.then_some(windows * group.spectrum.window_s())
+            });
+        let required = required.collect::<Option<Vec<f64>>>()?;
+        required.into_iter().reduce(f64::min)
+    }
+
     /// Returns the channels that are in doubt or faulty, as indices in a frame.
     pub fn suspected(&self) -> impl Iterator<Item = usize> {
         let health = self.state.health.iter().enumerate();

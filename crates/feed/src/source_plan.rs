@@ -213,6 +213,15 @@ impl GrowingFile {
             && name.ends_with(after)
     }
 
+    /// Returns the error of a feed that finds no file.
+    pub(crate) fn missing(&self) -> String {
+        let path = self.path.display();
+        match self.is_pattern() {
+            true => format!("no file matches {path}"),
+            false => format!("{path} does not exist"),
+        }
+    }
+
     fn name(&self) -> String {
         let name = self.path.file_name().unwrap_or_default();
         name.to_string_lossy().into_owned()

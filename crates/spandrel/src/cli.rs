@@ -115,7 +115,7 @@ pub enum Command {
     #[command(
         after_help = "Examples: spandrel simulate tower.toml --record tower.csv --duration 600\n          \
                             spandrel simulate tower.toml --speed 1 --connect quic/10.0.0.5:7447 --certificate NAME.pem\n          \
-                            spandrel simulate tower.toml --live --node roof --start 1763730000"
+                            spandrel simulate tower.toml --live --node roof --start $(date +%s)"
     )]
     Simulate(SimulateArguments),
     /// Publish a recording on the bus as its sensor nodes would.
@@ -425,13 +425,13 @@ pub struct MaintenanceArguments {
     pub structure: String,
     /// End of the maintenance, at most 30 days from now.
     ///
-    /// Seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z.
+    /// Seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z. Requires --reason.
     #[arg(long, value_name = "TIME", requires = "reason", conflicts_with = "end")]
     pub until: Option<String>,
     /// End the maintenance now.
     #[arg(long)]
     pub end: bool,
-    /// Reason of the maintenance.
+    /// Reason of the maintenance, only with --until.
     #[arg(long, value_name = "TEXT", requires = "until")]
     pub reason: Option<String>,
     /// Mute only the alerts of this parameter [default: all notices of the structure].
@@ -657,8 +657,8 @@ pub struct SimulateArguments {
     pub live: bool,
     /// Start of a live simulation (seconds since 1970, UTC) [default: now].
     ///
-    /// Nodes in several processes belong together if they have the same start. A process that
-    /// starts later joins at the current time.
+    /// At most one day before or after now. Nodes in several processes belong together if they have
+    /// the same start. A process that starts later joins at the current time.
     #[arg(long, value_name = "SECONDS", requires = "live", value_parser = seconds, allow_negative_numbers = true)]
     pub start: Option<f64>,
     /// Simulate only this sensor node; may be repeated [default: all nodes].
@@ -1021,7 +1021,7 @@ pub struct BaselineArguments {
     #[arg(long, required = true)]
     pub record: Vec<PathBuf>,
     /// Time at the start of each recording to leave out while the filter converges (s).
-    #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 10.0, value_name = "SECONDS", value_parser = not_negative, allow_negative_numbers = true)]
     pub skip: f64,
     /// Standard deviation of each parameter between records, as a ratio to nominal [default:
     /// estimated from the recordings].

@@ -113,6 +113,16 @@ pub enum AppError {
         /// Names of the known structures.
         known: String,
     },
+    /// A baseline file belongs to another structure.
+    #[error("{}: baseline is for structure `{found}`, must be for `{expected}`", path.display())]
+    OtherBaseline {
+        /// Path of the baseline file.
+        path: PathBuf,
+        /// Structure of the baseline.
+        found: String,
+        /// Structure of the structure file.
+        expected: String,
+    },
     /// No distributed node has this name.
     #[error(
         "unknown distributed node `{name}`, must be a node with identification = \"distributed\": \
@@ -385,6 +395,14 @@ pub enum AppError {
     /// A simulated or replayed sensor failed.
     #[error(transparent)]
     Sensor(#[from] SensorError),
+    /// The start of a live simulation is too far from now, or the simulation has ended.
+    #[error("--start is {start_s}: {why}")]
+    SimulationStart {
+        /// Start, seconds since 1970.
+        start_s: f64,
+        /// What is wrong with it, and what is allowed.
+        why: String,
+    },
     /// A file, thread or terminal failed.
     #[error("{what}")]
     Io {
@@ -635,6 +653,7 @@ impl AppError {
             | Self::NoStructure
             | Self::SameStructure { .. }
             | Self::BaselineOfNone { .. }
+            | Self::OtherBaseline { .. }
             | Self::NothingLearnt { .. }
             | Self::BaselineContradicted { .. }
             | Self::NoParameters { .. }
@@ -672,6 +691,7 @@ impl AppError {
             | Self::Annotation { .. }
             | Self::NoStateFolder
             | Self::SyncTime { .. }
+            | Self::SimulationStart { .. }
             | Self::WouldOverwrite { .. }
             | Self::ParticlesOnly { .. }
             | Self::WarmUpTooLong { .. }

@@ -169,7 +169,7 @@ pub fn report_text(settings: &Settings, reports: &[QuantityReport]) -> String {
 fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
     let performance = &reference.performance;
     let mut text = format!(
-        "{quantity}: reference of {} to {}, scatter {:.2} % a day, correlation {} between days\n  \
+        "{quantity}: reference of {} to {}, scatter {:.2} % a day, correlation {:.2} between days\n  \
          coverage of the 95 % interval in the commissioning: {:.0} %\n",
         date(reference.from_day),
         date(reference.to_day),

@@ -20,6 +20,10 @@ pub struct SensorPage {
     structure: String,
     /// Name and result of each channel of a frame. `None` for a channel that is not checked.
     channels: Vec<(String, Option<ChannelHealth>)>,
+    /// Length of data (s) that some unchecked channels require and did not have.
+    required_s: Option<f64>,
+    /// Whether the data of an unchecked channel were long enough.
+    lacks_motion: bool,
 }
 
 impl SensorPage {
@@ -43,8 +47,16 @@ impl SensorPage {
         let names = structure
             .channels()
             .map(|channel| channel.name().to_owned());
+        let unchecked = |(channel, health): (usize, &Option<ChannelHealth>)| {
+            let is_unchecked = health.is_some_and(|one| one.soundness == Soundness::Unchecked);
+            is_unchecked.then(|| check.required_s(channel))
+        };
+        let required = check.health().iter().enumerate().filter_map(unchecked);
+        let required: Vec<Option<f64>> = required.collect();
         Self {
             structure: structure.name().to_owned(),
+            required_s: required.iter().copied().flatten().reduce(f64::max),
+            lacks_motion: required.contains(&None),
             channels: names.zip(check.health().iter().copied()).collect(),
         }
     }
@@ -104,10 +116,14 @@ impl fmt::Display for SensorPage {
         for (name, fault) in faults {
             writeln!(f, "{name} {}: {}", fault.words(), advice(fault))?;
         }
-        let unchecked = |(_, health): &(String, Option<ChannelHealth>)| {
-            health.is_some_and(|health| health.soundness == Soundness::Unchecked)
-        };
-        if self.channels.iter().any(unchecked) {
+        if let Some(required_s) = self.required_s {
+            writeln!(
+                f,
+                "unchecked: the data are too short, must be at least {:.0} s without a gap",
+                required_s.ceil()
+            )?;
+        }
+        if self.lacks_motion {
             writeln!(
                 f,
                 "unchecked: the data contain too little motion of the ground far below the first \
@@ -155,11 +171,15 @@ mod tests {
 
     /// Returns the page of a recording of the simulated frame, whose second floor has this scale.
     fn page(scale: f64) -> SensorPage {
+        page_of(60, scale)
+    }
+
+    fn page_of(length_s: usize, scale: f64) -> SensorPage {
         let structure = Structure::parse(TABLE, Path::new("table.toml")).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("record.csv");
         let mut text = "time_s,ground_mps2,floor1_mps2,floor2_mps2,floor3_mps2\n".to_owned();
-        for (number, frame) in structure.simulator(3).take(60 * 120).enumerate() {
+        for (number, frame) in structure.simulator(3).take(length_s * 120).enumerate() {
             let values = &frame.values;
             let time_s = number as f64 / 120.0;
             text += &format!(
@@ -179,6 +199,13 @@ mod tests {
         let text = page(1.0).to_string();
         assert_eq!(text.matches(" sound ").count(), 4, "{text}");
         assert_eq!(text.lines().count(), 6, "{text}");
+    }
+
+    #[test]
+    fn short_data_leave_the_sensors_unchecked_for_this_reason() {
+        let text = page_of(1, 1.0).to_string();
+        let (short, motion) = ("the data are too short", "too little motion");
+        assert!(text.contains(short) && !text.contains(motion), "{text}");
     }
 
     #[test]

@@ -104,7 +104,21 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
 }
 
 /// Warns of baseline entries without effect, and of parameters that still have to be learnt.
-pub fn warn_unused_baseline(structure: &Structure, baseline: &Baseline, path: &Path) {
+///
+/// # Errors
+/// The baseline belongs to another structure.
+pub fn check_baseline(
+    structure: &Structure,
+    baseline: &Baseline,
+    path: &Path,
+) -> Result<(), AppError> {
+    if baseline.structure() != structure.name() {
+        return Err(AppError::OtherBaseline {
+            path: path.to_owned(),
+            found: baseline.structure().to_owned(),
+            expected: structure.name().to_owned(),
+        });
+    }
     let (path, names) = (path.display(), || {
         structure
             .parameters()
@@ -124,7 +138,7 @@ pub fn warn_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
             "{path}: not used; no alert rule of {structure} learns its reference (reference = {{ \
              learn-s = … }})"
         );
-        return;
+        return Ok(());
     }
     let unknown: Vec<&str> = baseline
         .parameters()
@@ -153,6 +167,7 @@ pub fn warn_unused_baseline(structure: &Structure, baseline: &Baseline, path: &P
             Some(Ok(_)) => {}
         }
     }
+    Ok(())
 }
 
 /// Reads one structure with its keys and baseline.
@@ -165,7 +180,7 @@ pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppE
     let baseline = match settings.baselines.get(structure.name()) {
         Some(path) => {
             let baseline = Baseline::read(path)?;
-            warn_unused_baseline(&structure, &baseline, path);
+            check_baseline(&structure, &baseline, path)?;
             Some(baseline)
         }
         None => None,

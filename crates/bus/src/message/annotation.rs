@@ -218,7 +218,10 @@ mod tests {
             from_ns: 101,
             ..repair()
         };
-        assert!(matches!(future.check(), Err(Malformed::Range { .. })));
+        assert_eq!(
+            future.check().unwrap_err().to_string(),
+            "beginning of a reference (s) is 0.000000101, must be at most 0.0000001"
+        );
         let planned = Annotation {
             effect: AnnotationEffect::None,
             ..future
@@ -228,7 +231,10 @@ mod tests {
             to_ns: Some(49),
             ..repair()
         };
-        assert!(matches!(backwards.check(), Err(Malformed::Range { .. })));
+        assert_eq!(
+            backwards.check().unwrap_err().to_string(),
+            "end (s) is 0.000000049, must be at least 0.00000005"
+        );
     }
 
     #[test]

@@ -38,6 +38,7 @@ pub(crate) async fn read(plan: GrowingFile, since_ns: Option<i64>, outlet: Outle
         match follower.step(&outlet).await {
             Ok(Step::Read) => retry.reset(),
             Ok(Step::AtEnd) => sleep(POLL).await,
+            Ok(Step::Missing) => follower.wait_for_a_file(&outlet).await,
             Err(why) => {
                 outlet.failed(why).await;
                 retry.pause().await;
@@ -52,6 +53,8 @@ enum Step {
     Read,
     /// Nothing new.
     AtEnd,
+    /// No file has existed yet.
+    Missing,
 }
 
 /// The position in a sequence of files.
@@ -107,9 +110,24 @@ impl Follower {
         }
     }
 
+    /// Reports once that no file exists, and waits until one does or the feed stops.
+    async fn wait_for_a_file(&mut self, outlet: &Outlet) {
+        outlet.failed(self.plan.missing()).await;
+        // Everything in a file that appears later is new.
+        if matches!(self.start, Start::End) {
+            self.start = Start::Beginning;
+        }
+        while !outlet.is_closed() && self.successors().is_ok_and(|files| files.is_empty()) {
+            sleep(POLL).await;
+        }
+    }
+
     async fn step(&mut self, outlet: &Outlet) -> Result<Step, String> {
         if self.open.is_none() && !self.open_next(outlet).await? {
-            return Ok(Step::AtEnd);
+            return Ok(match self.last.is_none() && self.next.is_empty() {
+                true => Step::Missing,
+                false => Step::AtEnd,
+            });
         }
         let Some(open) = &mut self.open else {
             return Ok(Step::AtEnd);
@@ -275,11 +293,13 @@ impl Follower {
             if !is_wanted(&entry.file_name().to_string_lossy()) {
                 continue;
             }
+            // The folder of a bare file name is `.`, which the path of the plan lacks.
+            let path = self.plan.path.with_file_name(entry.file_name());
             // A file may disappear meanwhile.
-            if let Ok(metadata) = std::fs::metadata(entry.path())
+            if let Ok(metadata) = std::fs::metadata(&path)
                 && metadata.is_file()
             {
-                files.push((entry.path(), metadata));
+                files.push((path, metadata));
             }
         }
         Ok(files)
@@ -421,7 +441,12 @@ pub(super) fn modified_ns(metadata: &Metadata) -> i64 {
 mod tests {
     use std::io::Write;
 
+    use spandrel_service::Clock;
+
     use super::*;
+    use crate::connect::{Arrivals, Clocks};
+    use crate::core_input::Input;
+    use crate::source_plan::SourceKind;
 
     fn append(path: &Path, text: &str) {
         let mut file = File::options()
@@ -456,6 +481,58 @@ mod tests {
             panic!("{} lines", last.len());
         };
         assert!(first.ends_with("34") && second == "5");
+    }
+
+    /// Regression test: the folder listed `./Cargo.toml`, which differed from the path of the plan.
+    #[test]
+    fn file_in_the_working_directory_is_found_by_its_bare_name() {
+        let path = PathBuf::from("Cargo.toml");
+        let plan = GrowingFile {
+            path: path.clone(),
+            format: LineFormat::RaspberryShake,
+            start: StartAt::Start,
+        };
+        let follower = Follower::new(plan, None);
+        assert_eq!(follower.successors().unwrap(), [path]);
+    }
+
+    #[tokio::test]
+    async fn missing_file_is_reported_once_and_read_as_soon_as_it_appears() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.json");
+        let format = LineFormat::Json {
+            time: None,
+            fields: vec!["a".to_owned()],
+        };
+        let plan = GrowingFile {
+            path: path.clone(),
+            format,
+            start: StartAt::End,
+        };
+        let mut arrivals = Arrivals::default();
+        let clocks = Clocks::start(Clock::of_machine());
+        let outlet = arrivals.add(0, &SourceKind::File(plan.clone()), clocks);
+        let mut tasks = tokio::task::JoinSet::new();
+        tasks.spawn(read(plan, None, outlet));
+        let mut links = Vec::new();
+        loop {
+            match arrivals.next(&[]).await.unwrap().input {
+                Input::Link { link, .. } => {
+                    if matches!(link, Link::Failed { .. }) {
+                        append(&path, "{\"a\": 5}\n");
+                    }
+                    links.push(link);
+                }
+                Input::Packets { packets, .. } => {
+                    assert_eq!(packets[0].values, [5.0]);
+                    break;
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        let why = format!("{} does not exist", path.display());
+        let expected = [Link::Connecting, Link::Failed { why }, Link::Open];
+        assert_eq!(links, expected);
     }
 
     #[test]

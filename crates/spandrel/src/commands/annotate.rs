@@ -76,29 +76,42 @@ fn annotation(arguments: &AnnotateArguments, now_ns: i64) -> Result<Annotation, 
         };
         text.as_ref().map(parse).transpose()
     };
+    let from_ns = time("--from", &arguments.from)?.unwrap_or(now_ns);
+    let to_ns = time("--to", &arguments.to)?;
+    let found = |text: &Option<String>| format!("{:?}", text.as_deref().unwrap_or("now"));
+    if arguments.new_reference && from_ns > now_ns {
+        let allowed = "a time that is not in the future, because --new-reference starts there";
+        return Err(invalid("--from", found(&arguments.from), allowed));
+    }
+    if to_ns.is_some_and(|to_ns| to_ns < from_ns) {
+        let allowed = "a time at or after the beginning (--from, or now)";
+        return Err(invalid("--to", found(&arguments.to), allowed));
+    }
+    let who = arguments.who.clone();
+    let who = who.unwrap_or_else(|| std::env::var("USER").unwrap_or_default());
+    if who.trim().is_empty() {
+        let found = "no name is given, and the variable USER has none".to_owned();
+        return Err(invalid("--who", found, "your name"));
+    }
     let annotation = Annotation {
         structure: Name::new(&*arguments.structure)?,
         quantity: arguments.quantity.as_deref().map(Name::new).transpose()?,
         time_ns: now_ns,
-        from_ns: time("--from", &arguments.from)?.unwrap_or(now_ns),
-        to_ns: time("--to", &arguments.to)?,
+        from_ns,
+        to_ns,
         kind: arguments.kind,
         effect: match (arguments.seen, arguments.new_reference) {
             (true, _) => AnnotationEffect::Seen,
             (false, true) => AnnotationEffect::NewReference,
             (false, false) => AnnotationEffect::None,
         },
-        who: arguments
-            .who
-            .clone()
-            .unwrap_or_else(|| std::env::var("USER").unwrap_or_default()),
+        who,
         text: arguments.text.clone(),
     };
-    let allowed = "a name and a text that are not empty, an end after the beginning, and no new \
-                   reference in the future";
+    let allowed = "a text that is not empty, and a name without control characters";
     annotation
         .check()
-        .map_err(|error| invalid("annotation", error.to_string(), allowed))?;
+        .map_err(|error| invalid("TEXT or --who", error.to_string(), allowed))?;
     Ok(annotation)
 }
 
@@ -132,8 +145,12 @@ mod tests {
     const NOW_NS: i64 = 1_795_220_273_000_000_000;
 
     fn of(options: &[&str]) -> Result<Annotation, String> {
-        let arguments = ["spandrel", "annotate", "bridge", "--who", "ada"];
-        let arguments = Arguments::try_parse_from(arguments.iter().chain(options));
+        let mut words = vec!["spandrel", "annotate", "bridge"];
+        words.extend(options);
+        if !options.contains(&"--who") {
+            words.extend(["--who", "ada"]);
+        }
+        let arguments = Arguments::try_parse_from(words);
         let Command::Annotate(arguments) = arguments.map_err(|error| error.to_string())?.command
         else {
             panic!("another command")
@@ -167,7 +184,7 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let wrong: [(&[&str], &str); 6] = [
+        let wrong: [(&[&str], &str); 10] = [
             (&["inspection"], "<TEXT>"),
             (&["party", "x"], "must be one of: inspection, repair"),
             (&["repair", " "], "length of the text"),
@@ -176,6 +193,16 @@ mod tests {
                 &["repair", "x", "--new-reference", "--from", "2027-01-01"],
                 "in the future",
             ),
+            (
+                &["repair", "x", "--from", "2026-11-02", "--to", "2026-11-01"],
+                "--to: \"2026-11-01\", must be a time at or after the beginning",
+            ),
+            (
+                &["repair", "x", "--from", "99999999999999"],
+                "--from: \"99999999999999\", must be seconds since 1970",
+            ),
+            (&["repair", "x", "--from", "1e300"], "--from: \"1e300\""),
+            (&["repair", "x", "--who", " "], "--who: no name is given"),
             (
                 &["repair", "x", "--new-reference", "--seen"],
                 "cannot be used with",

@@ -3,7 +3,7 @@
 use super::{print, progress, refuse_overwriting};
 use crate::cli::{EstimateArguments, FilterChoice};
 use crate::error::AppError;
-use crate::services::warn_unused_baseline;
+use crate::services::check_baseline;
 use crate::{distributed, offline, record_source};
 use spandrel_alert::Baseline;
 use spandrel_bus::EstimateBlock;
@@ -45,7 +45,7 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
         .map(Baseline::read)
         .transpose()?;
     if let (Some(baseline), Some(path)) = (&baseline, &arguments.baseline) {
-        warn_unused_baseline(&structure, baseline, path);
+        check_baseline(&structure, baseline, path)?;
     }
     let by_nodes = structure.fusion().is_some() && arguments.filter != FilterChoice::Particle;
     let one_filter = if by_nodes {

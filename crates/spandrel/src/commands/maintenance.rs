@@ -160,6 +160,19 @@ mod tests {
     }
 
     #[test]
+    fn help_of_until_names_the_required_reason() {
+        use clap::CommandFactory as _;
+        let mut command = Arguments::command();
+        let maintenance = command.find_subcommand_mut("maintenance").unwrap();
+        let until = maintenance
+            .get_arguments()
+            .find(|argument| argument.get_id() == "until")
+            .unwrap();
+        let help = until.get_long_help().unwrap().to_string();
+        assert!(help.contains("Requires --reason"), "{help}");
+    }
+
+    #[test]
     fn maintenance_requires_an_end_within_thirty_days_and_a_reason() {
         let begins = of(&["--until", "1795220274", "--reason", "paint"])
             .unwrap()

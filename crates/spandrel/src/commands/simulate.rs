@@ -17,9 +17,21 @@ use spandrel_service::Clock;
 use spandrel_structure::Structure;
 use std::convert::Infallible;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use tracing::warn;
+
+/// Time before the start of a live simulation from which the program says that it waits (s).
+const TOLD_AHEAD_S: f64 = 10.0;
 
 /// Default length of a record in a file (s).
 const DEFAULT_RECORD_S: f64 = 120.0;
+
+/// Largest distance of the start of a live simulation from now (s).
+///
+/// A process that joins must compute all motion since the start. A process with a later start waits
+/// silently.
+const FARTHEST_START_S: f64 = 86_400.0;
 
 /// Simulates for the requested time, or until Ctrl-C.
 ///
@@ -46,10 +58,7 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
         },
         seed,
         frames: arguments.duration.map(frames),
-        start_ns: arguments.start.map_or_else(
-            || Clock::of_machine().now_ns(),
-            |seconds| (seconds * 1e9) as i64,
-        ),
+        start_ns: start_ns(&arguments, Clock::of_machine().now_ns())?,
         nodes: (0..structure.nodes().len())
             .filter(wanted(&structure, &arguments.node)?)
             .collect(),
@@ -89,6 +98,44 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
             counted(frames as usize, "frame", "frames")
         ))
     })
+}
+
+/// Returns the time of the first frame (ns since the Unix epoch, UTC).
+fn start_ns(arguments: &SimulateArguments, now_ns: i64) -> Result<i64, AppError> {
+    let Some(start_s) = arguments.start else {
+        return Ok(now_ns);
+    };
+    let refused = |why| Err(AppError::SimulationStart { start_s, why });
+    let now_s = now_ns as f64 / 1e9;
+    if (start_s - now_s).abs() > FARTHEST_START_S {
+        let now_s = now_s.round();
+        return refused(format!(
+            "must be at most one day before or after now, {now_s}"
+        ));
+    }
+    let ended_s = arguments
+        .duration
+        .map(|length_s| now_s - (start_s + length_s));
+    if let Some(ended_s) = ended_s.filter(|ended_s| *ended_s >= 0.0) {
+        return refused(format!(
+            "with this --duration, the simulation ended {ended_s:.0} s ago and would send no \
+             frame; choose a later start or a longer duration"
+        ));
+    }
+    if start_s - now_s > TOLD_AHEAD_S {
+        warn!(wait_s = (start_s - now_s).round(), "waiting for the start");
+    }
+    Ok((start_s * 1e9) as i64)
+}
+
+/// Ends the computation of rows on its thread when the simulation is dropped. The runtime would
+/// otherwise wait for it.
+struct Computing(Arc<AtomicBool>);
+
+impl Drop for Computing {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
 }
 
 /// Settings of a simulation on the bus.
@@ -154,7 +201,10 @@ pub async fn simulate(
     .await?;
     let (counted, channels) = (bar.clone(), channels_of(structure, nodes));
     let rows = simulated_rows(structure, seed, start_ns, frames).inspect(move |_| counted.inc(1));
+    let computing = Computing(Arc::new(AtomicBool::new(true)));
+    let is_wanted = Arc::clone(&computing.0);
     let rows = rows
+        .take_while(move |_| is_wanted.load(Ordering::Relaxed))
         .skip_while(move |row| live && row.time_ns < epoch as i64)
         .map(move |mut row| {
             row.values = channels
@@ -163,7 +213,9 @@ pub async fn simulate(
                 .collect();
             Ok::<_, Infallible>(row)
         });
-    Ok(service.run(rows, std::future::pending()).await?)
+    let sent = service.run(rows, std::future::pending()).await?;
+    drop(computing);
+    Ok(sent)
 }
 
 /// Returns the channels of some nodes, as indices into a row of all nodes.
@@ -244,4 +296,41 @@ fn write_record(
         "{}: {frames} of {name}, {seconds} s, seed {seed}{replacing}\n",
         path.display()
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::{Arguments, Command};
+    use clap::Parser as _;
+
+    const NOW_NS: i64 = 1_795_220_273_000_000_000;
+
+    fn start(options: &[&str]) -> Result<i64, String> {
+        let words = ["spandrel", "simulate", "tower.toml", "--live"];
+        let arguments = Arguments::try_parse_from(words.iter().chain(options)).unwrap();
+        let Command::Simulate(arguments) = arguments.command else {
+            panic!("another command")
+        };
+        start_ns(&arguments, NOW_NS).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn live_simulation_starts_within_a_day_and_sends_something() {
+        assert_eq!(start(&[]), Ok(NOW_NS));
+        let hour_ago = ["--start", "1795216673"];
+        assert_eq!(start(&hour_ago), Ok(1_795_216_673_000_000_000));
+        for far in ["100", "2000000000", "1e300"] {
+            let error = start(&["--start", far]).unwrap_err();
+            assert!(
+                error.contains("at most one day before or after now"),
+                "{error}"
+            );
+        }
+        let ended = [&hour_ago[..], &["--duration", "60"]].concat();
+        let error = start(&ended).unwrap_err();
+        assert!(error.contains("ended 3540 s ago"), "{error}");
+        let running = [&hour_ago[..], &["--duration", "3700"]].concat();
+        assert!(start(&running).is_ok());
+    }
 }

@@ -4,12 +4,11 @@ use super::form::{Field, Form};
 use super::lists::{alert_lines, alerts_title, event_lines};
 use super::structure_panel::StructurePanel;
 use super::view::{Mode, View};
-use super::wording::nothing_heard;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
-use ratatui::widgets::{Block, Borders, Clear, Padding, Paragraph};
+use ratatui::widgets::{Block, Borders, Clear, Padding, Paragraph, Wrap};
 use spandrel_bus::Name;
 use spandrel_listener::StructureState;
 
@@ -82,7 +81,10 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
 
 fn draw_main(view: &View, frame: &mut Frame<'_>, area: Rect) {
     if view.heard.structures().len() == 0 {
-        frame.render_widget(Paragraph::new(nothing_heard(view.place())), area);
+        frame.render_widget(
+            Paragraph::new(view.nothing_heard()).wrap(Wrap { trim: true }),
+            area,
+        );
         return;
     }
     let structures: Vec<(&Name, &StructureState)> = view.heard.structures().collect();

@@ -8,8 +8,9 @@ use super::view::{Action, Around, View};
 use super::wording::nothing_heard;
 use crate::error::AppError;
 use ratatui::crossterm::event::{Event, KeyEventKind};
-use spandrel_bus::{Acknowledgement, Bus, Keys, Name, Service};
+use spandrel_bus::{Acknowledgement, Bus, KeyFamily, Keys, LiveWatch, Name, Service, parse_key};
 use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
+use std::collections::BTreeSet;
 use std::io::{self, IsTerminal, Write};
 use std::time::{Duration, Instant};
 use tokio::time::MissedTickBehavior;
@@ -54,21 +55,27 @@ pub async fn show(
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
     let listener = Listener::start(bus, root, structure, NEEDS).await?;
+    // A view of all structures shows the others anyway.
+    let others = match structure {
+        Some(_) => Others::watch(bus, root).await?,
+        None => Others::none(root),
+    };
     let place = match structure {
         Some(structure) => format!("of {structure} below {root}"),
         None => format!("below {root}"),
     };
     if io::stdout().is_terminal() {
-        show_screen(bus, root, listener, View::new(place, around, user()), stop).await
+        let view = View::new(place, around, user());
+        show_screen(bus, listener, others, view, stop).await
     } else {
-        print_lines(listener, &place, stop).await
+        print_lines(listener, others, &place, stop).await
     }
 }
 
 async fn show_screen(
     bus: &Bus,
-    root: &Name,
     mut listener: Listener,
+    others: Others,
     mut view: View,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
@@ -89,6 +96,7 @@ async fn show_screen(
         for input in listener.gather() {
             view.heard.handle(input, &mut Vec::new());
         }
+        view.set_others(others.names());
         view.set_overwritten(listener.refused().values().sum());
         view.check_acknowledgement();
         let action = match event {
@@ -110,7 +118,7 @@ async fn show_screen(
                     who,
                     note,
                 };
-                acknowledge(bus, root, &acknowledgement).await?;
+                acknowledge(bus, &others.root, &acknowledgement).await?;
                 view.sent(acknowledgement.structure, acknowledgement.parameter);
             }
             None => {}
@@ -138,6 +146,7 @@ async fn acknowledge(
 
 async fn print_lines(
     mut listener: Listener,
+    others: Others,
     place: &str,
     stop: impl Future<Output = ()>,
 ) -> Result<(), AppError> {
@@ -147,7 +156,7 @@ async fn print_lines(
     let mut look = tokio::time::interval(REDRAW_EVERY);
     look.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut next_line = LINE_EVERY;
-    let mut is_silence_told = false;
+    let mut told_silence = String::new();
     loop {
         let is_last = tokio::select! {
             biased;
@@ -167,14 +176,47 @@ async fn print_lines(
                 lines.push(structure_line(name, structure));
                 lines.extend(heard.nodes(name).map(|node| plain_line(name, node)));
             }
-            if lines.is_empty() && !is_silence_told {
-                lines.push(nothing_heard(place));
-                is_silence_told = true;
+            if lines.is_empty() {
+                let silence = nothing_heard(place, &others.names());
+                if silence != told_silence {
+                    lines.push(silence.clone());
+                    told_silence = silence;
+                }
             }
         }
         if print(&lines)? == Reader::Gone || is_last {
             return Ok(());
         }
+    }
+}
+
+/// The structures whose services or sensors run, for a view of a structure that none knows.
+struct Others {
+    root: Name,
+    live: Vec<LiveWatch>,
+}
+
+impl Others {
+    fn none(root: &Name) -> Self {
+        Self {
+            root: root.clone(),
+            live: Vec::new(),
+        }
+    }
+
+    async fn watch(bus: &Bus, root: &Name) -> Result<Self, AppError> {
+        let mut others = Self::none(root);
+        for service in Service::ALL {
+            let key = KeyFamily::Live(service).expression(root, None, None);
+            others.live.push(bus.watch_live(key).await?);
+        }
+        Ok(others)
+    }
+
+    fn names(&self) -> BTreeSet<Name> {
+        let keys = self.live.iter().flat_map(LiveWatch::present);
+        keys.filter_map(|key| Some(parse_key(&self.root, &key)?.0))
+            .collect()
     }
 }
 

@@ -2,9 +2,11 @@
 
 use super::form::{Form, Typed};
 use super::heard::Heard;
+use super::wording::nothing_heard;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use spandrel_bus::{AlertMessage, AlertState, Name};
 use spandrel_listener::StructureState;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Time for which a notice is shown in the last line.
@@ -21,6 +23,8 @@ pub struct View {
     /// Description of the subscribed part of the bus, shown until a message arrives.
     place: String,
     around: Around,
+    /// Structures whose services or sensors run, apart from the one that is shown.
+    others: BTreeSet<Name>,
     mode: Mode,
     /// Selection by name, so that a new structure or alert does not move it.
     structure: Option<Name>,
@@ -102,9 +106,14 @@ impl View {
         }
     }
 
-    /// Returns the description of the subscribed part of the bus.
-    pub fn place(&self) -> &str {
-        &self.place
+    /// Sets the structures whose services or sensors run, apart from the one that is shown.
+    pub fn set_others(&mut self, others: BTreeSet<Name>) {
+        self.others = others;
+    }
+
+    /// Returns the text for a view without any messages.
+    pub fn nothing_heard(&self) -> String {
+        nothing_heard(&self.place, &self.others)
     }
 
     /// Processes a key and returns the resulting action.

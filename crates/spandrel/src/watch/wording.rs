@@ -3,8 +3,9 @@
 use jiff::Timestamp;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Span;
-use spandrel_bus::{AlertMessage, AlertState, RoundedProbability};
+use spandrel_bus::{AlertMessage, AlertState, Name, RoundedProbability};
 use spandrel_listener::StructureState;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Returns the colour of a state. The word shows the same information without colour.
@@ -47,9 +48,18 @@ pub fn state_counts<'a>(
     spans
 }
 
-/// Returns the text for a view without any messages.
-pub fn nothing_heard(place: &str) -> String {
-    format!("no messages yet {place}: no service or sensor is running")
+/// Returns the text for a view of `place` without any messages. `others` are the structures whose
+/// services or sensors run.
+pub fn nothing_heard(place: &str, others: &BTreeSet<Name>) -> String {
+    if others.is_empty() {
+        return format!("no messages yet {place}: no service or sensor is running");
+    }
+    let others: Vec<&str> = others.iter().map(Name::as_str).collect();
+    format!(
+        "no messages yet {place}: no service or sensor of it is running; structures with running \
+         services: {}",
+        others.join(", ")
+    )
 }
 
 /// Formats a mean and standard deviation: `0.858 ± 0.011`.

@@ -358,6 +358,21 @@ fn raised_alert_states_that_the_stiffness_is_still_falling_until_the_jump_ends()
     );
 }
 
+/// Regression test: a normal state said "loss at least 0 % of its stiffness, still falling".
+#[test]
+fn normal_state_during_a_jump_claims_no_falling_stiffness() {
+    let mut drive = Drive::new(Rule::new(0.05, 0.95, 0.5, 0.0).unwrap());
+    drive
+        .flagged(0..2, SOFT, SURE, jumping())
+        .flagged(2..3, SOUND, SURE, jumping());
+    assert_eq!(drive.states(), [(Pending, 0), (Normal, 2)]);
+    let why = &drive.alerts[1].why;
+    assert!(
+        why.contains(": loss 0 % of its stiffness (95 %") && !why.contains("still"),
+        "{why}"
+    );
+}
+
 #[test]
 fn raised_alert_is_revised_when_the_loss_leaves_the_announced_interval() {
     let mut drive = Drive::new(rule());
