@@ -563,7 +563,7 @@ fn contradicted_fit_warns_also_where_no_rule_watches() {
 }
 
 #[test]
-fn softening_in_motion_is_a_notice_and_the_last_report_of_an_earthquake_is_shown_for_two_days() {
+fn softening_in_motion_is_a_notice_and_the_most_urgent_report_of_two_days_is_shown() {
     let mut store = demo();
     hear(&mut store, "storey-2", 1, 0.85, 1.0);
     let soft = alert("storey-2", 1, AlertState::SofteningInMotion);
@@ -590,7 +590,24 @@ fn softening_in_motion_is_a_notice_and_the_last_report_of_an_earthquake_is_shown
         (shown.urgency.as_str(), shown.result.as_str()),
         ("inspect first", "It shook. Look.")
     );
+    assert_eq!(shown.later, None);
+    // A weak aftershock does not hide that an inspector is needed.
+    store.handle(reported(60, "third", "earthquake report: no action"));
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!(
+        (shown.report.as_str(), shown.urgency.as_str()),
+        ("second", "inspect first")
+    );
+    let later = shown.later.unwrap();
+    assert_eq!(
+        (later.report.as_str(), later.urgency.as_str(), later.time_s),
+        ("third", "no action", 60.0)
+    );
     let after_ns = (2 * 86_400 + 2) * 1_000_000_000;
+    hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!((shown.report.as_str(), shown.later), ("third", None));
+    let after_ns = (2 * 86_400 + 61) * 1_000_000_000;
     hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
     assert_eq!(overview(&store).earthquake, None);
 }
