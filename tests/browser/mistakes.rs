@@ -57,7 +57,7 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
     browser
         .wait(
             "a sentence by the newest value",
-            "[...document.querySelectorAll('.alerts:not(.past) .alert[data-state=normal] .sentence')].some((one) => /^storey-\\d is normal by the newest value: loss -?[\\d.]+ % /.test(one.textContent))",
+            "[...document.querySelectorAll('.alerts:not(.past) .alert[data-state=normal] .sentence')].some((one) => /^storey-\\d is normal by the newest value: loss −?[\\d.]+ % /.test(one.textContent))",
         )
         .await;
     assert_eq!(browser.complaints(), Vec::<String>::new());

@@ -33,7 +33,7 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     // All plots are there, although most are outside the window.
     let lines = "[...document.querySelectorAll('.charts figure')].map((one) => [one.querySelector('figcaption').firstChild.textContent, one.querySelector('.line').getAttribute('d').split('L').length > 100])";
     let names = [
-        "damping", "storey-1", "storey-2", "storey-3", "storey-4", "storey-5",
+        "storey-1", "storey-2", "storey-3", "storey-4", "storey-5", "damping",
     ];
     assert_eq!(
         browser.evaluate(lines).await,

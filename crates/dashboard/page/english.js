@@ -443,6 +443,7 @@ export const english = {
   "varies-by": ", varies by {0}",
   "views-of": "Views of {0}",
   "warning": "Warning",
+  "watched-an-inspector-is-needed": "{0} {1} watched, no alert; an inspector is needed after the earthquake: {2}.",
   "watched-no-decision-on": "{0} {1} watched, no alert; no decision yet on: {2}.",
   "watched-no-new-alarm": "{0} {1} watched, no new alarm; notices on: {2}.",
   "watched-nothing-needs-attention": "✓ {0} watched, nothing needs attention.",

@@ -443,6 +443,7 @@ export const german = {
   "varies-by": ", schwankt um {0}",
   "views-of": "Ansichten von {0}",
   "warning": "Achtung",
+  "watched-an-inspector-is-needed": "{0} {1} überwacht, keine Warnung; nach dem Erdbeben zu prüfen: {2}.",
   "watched-no-decision-on": "{0} {1} überwacht, keine Warnung; noch keine Entscheidung über: {2}.",
   "watched-no-new-alarm": "{0} {1} überwacht, kein neuer Alarm; Hinweise zu: {2}.",
   "watched-nothing-needs-attention": "✓ {0} überwacht, alles in Ordnung.",

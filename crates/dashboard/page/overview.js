@@ -31,13 +31,14 @@ export class OverviewPage {
   }
 
   show({ structures }) {
-    setText(this.summary, summary(structures));
-    this.summary.dataset.level = structures[0]?.level ?? "learning";
+    const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
+    const { level, text } = summary(structures, shaken);
+    setText(this.summary, text);
+    this.summary.dataset.level = level;
     // Only many structures need a search and short cards.
     this.search ??= searchField(structures.length, t("find-a-structure"), () => this.show({ structures: this.structures }));
     if (this.search.element && !this.search.element.parentElement) this.tools.append(this.search.element);
     this.structures = structures;
-    const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
     this.quakes.hidden = shaken.length === 0;
     keyed(this.reported, shaken, ({ name }) => name, makeReported, updateReported);
     this.list.classList.toggle("is-many", structures.length > SEARCH_ABOVE);
@@ -56,18 +57,22 @@ export class OverviewPage {
   }
 }
 
-function summary(structures) {
-  if (structures.length === 0) return t("no-structure-is-watched");
-  const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
+/** Returns the most urgent level with the sentence about all structures. `shaken` are those with a report. */
+function summary(structures, shaken) {
+  const { level } = structures[0] ?? { level: "learning" };
+  if (structures.length === 0) return { level, text: t("no-structure-is-watched") };
   const of = structures.length === 1 ? t("1-structure") : t("many-structures", structures.length);
-  const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
-  if (urgent.length === 0 && seen.length > 0) return t("watched-no-new-alarm", LEVELS.notice.sign, of, seen.join(", "));
-  const open = structures.filter(({ level }) => level === "undecided" || level === "learning");
-  if (urgent.length === 0 && open.length > 0) return t("watched-no-decision-on", LEVELS[open[0].level].sign, of, namesOrCounts(open));
-  if (urgent.length === 0) return t("watched-nothing-needs-attention", of);
-  const names = namesOrCounts(urgent);
-  const { sign } = LEVELS[urgent[0].level];
-  return urgent.length === 1 ? t("1-of-needs-attention", sign, of, names) : t("of-need-attention", sign, urgent.length, of, names);
+  const at = (...levels) => structures.filter((one) => levels.includes(one.level));
+  const urgent = at("alarm", "stale", "warning");
+  const told = (key, of_level, ...values) => ({ level: of_level, text: t(key, LEVELS[of_level].sign, ...values) });
+  if (urgent.length === 1) return told("1-of-needs-attention", level, of, urgent[0].name);
+  if (urgent.length > 1) return told("of-need-attention", level, urgent.length, of, namesOrCounts(urgent));
+  const inspected = shaken.filter(({ earthquake }) => INSPECTED.includes(earthquake.urgency));
+  if (inspected.length > 0) return told("watched-an-inspector-is-needed", URGENCIES[inspected[0].earthquake.urgency], of, inspected.map(({ name }) => name).join(", "));
+  const [seen, open] = [at("notice"), at("undecided", "learning")];
+  if (seen.length > 0) return told("watched-no-new-alarm", "notice", of, namesOrCounts(seen));
+  if (open.length > 0) return told("watched-no-decision-on", level, of, namesOrCounts(open));
+  return { level, text: t("watched-nothing-needs-attention", of) };
 }
 
 /** Largest number of structures that the summary names. With more, it counts them by level. */
@@ -78,6 +83,9 @@ function namesOrCounts(structures) {
   const counted = Object.entries(LEVELS).map(([key, { sign, word }]) => [`${sign} ${word}`, structures.filter(({ level }) => level === key).length]);
   return counted.filter(([, count]) => count > 0).map(([text, count]) => `${text} ${count}`).join(", ");
 }
+
+/** Urgencies that ask for an inspector. */
+const INSPECTED = ["inspect first", "inspect"];
 
 /** Orders reports by their urgency, then by the loss by the newest value. */
 function byUrgency(a, b) {

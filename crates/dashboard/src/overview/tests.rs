@@ -1,8 +1,9 @@
 use super::*;
 use crate::testing::{alert, at, demo, fit, hear, monitoring, name, present, undecided};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, ParameterMonitoring,
-    Progress, Status, StreamState,
+    ChannelHealthDisplay, Estimate, EstimateBlock, EstimateFlags, Event, FaultKind, FitReason,
+    Header, Pace, ParameterMonitoring, Progress, SensorHealthDisplay, Soundness, Status,
+    StreamState,
 };
 use spandrel_listener::Input;
 
@@ -268,6 +269,37 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
     let all = "not used: floor-3; the estimates use the other sensors; the service alert is gone; \
                storey-2 is cleared; storey-3 is acknowledged; ";
     assert_eq!(overview(&store).sentence, format!("{all}{as_it_was}"));
+}
+
+/// The samples of a sensor in doubt are used. The sentence said that they are not.
+#[test]
+fn sensor_in_doubt_is_not_named_as_unused() {
+    let mut store = demo();
+    hear(&mut store, "storey-2", 1, 1.0, 0.0);
+    let health = |channel: &str, state: Soundness| {
+        Input::SensorHealth(SensorHealthDisplay {
+            structure: name("demo"),
+            node: name(channel),
+            time_ns: 1,
+            channels: vec![ChannelHealthDisplay {
+                channel: name(channel),
+                state,
+                probability: 0.9,
+                fault: Some(FaultKind::Gain),
+                gain: Some(0.8),
+                delay_s: Some(0.0),
+                coherence: Some(0.9),
+            }],
+        })
+    };
+    store.handle(health("ground", Soundness::InDoubt));
+    let found = overview(&store);
+    assert_eq!(found.sentence, "probably faulty: ground");
+    assert_eq!((found.sensors.alive, found.sensors.doubtful.len()), (1, 1));
+    assert_eq!(found.sensors.troubled, ["ground"]);
+    store.handle(health("floor-1", Soundness::Faulty));
+    let both = "not used: floor-1; the estimates use the other sensors; probably faulty: ground";
+    assert_eq!(overview(&store).sentence, both);
 }
 
 /// Four seconds of estimates in which the third channel was never used.
