@@ -197,7 +197,7 @@ async fn parts_without_an_alert_are_folded_away() {
         state.dispatchEvent(new Event('change'));
       })()";
     browser.evaluate(choose).await;
-    assert_eq!(browser.evaluate(seen).await, json!(["normal"; 4]));
+    assert_eq!(browser.evaluate(seen).await, json!(vec!["normal"; 4]));
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
