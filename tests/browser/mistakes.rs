@@ -169,7 +169,7 @@ async fn sensors_events_and_settings_are_tables() {
     browser
         .wait(
             "a comparison with the others",
-            &format!("/^factor [\\d.]+, delay -?\\d+ ms$/.test({})", cell(5)),
+            &format!("/^factor [\\d.]+, delay −?\\d+ ms$/.test({})", cell(5)),
         )
         .await;
     browser
@@ -204,7 +204,7 @@ async fn sensors_events_and_settings_are_tables() {
     let settings = "document.getElementById('panel-settings').textContent";
     for text in [
         "100 Hz",
-        "more than 5.0 %",
+        "more than 5 %",
         "0.99",
         "Items processed",
         "ingest",
