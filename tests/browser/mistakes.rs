@@ -57,7 +57,7 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
     browser
         .wait(
             "a sentence by the newest value",
-            "[...document.querySelectorAll('.alerts:not(.past) .alert[data-state=normal] .sentence')].some((one) => /^storey-\\d is normal by the newest value: loss -?[\\d.]+ % /.test(one.textContent))",
+            "[...document.querySelectorAll('.alerts:not(.past) .alert[data-state=normal] .sentence')].some((one) => /^storey-\\d is normal by the newest value: loss −?[\\d.]+ % /.test(one.textContent))",
         )
         .await;
     assert_eq!(browser.complaints(), Vec::<String>::new());
@@ -169,7 +169,7 @@ async fn sensors_events_and_settings_are_tables() {
     browser
         .wait(
             "a comparison with the others",
-            &format!("/^factor [\\d.]+, delay -?\\d+ ms$/.test({})", cell(5)),
+            &format!("/^factor [\\d.]+, delay −?\\d+ ms$/.test({})", cell(5)),
         )
         .await;
     browser
@@ -204,7 +204,7 @@ async fn sensors_events_and_settings_are_tables() {
     let settings = "document.getElementById('panel-settings').textContent";
     for text in [
         "100 Hz",
-        "more than 5.0 %",
+        "more than 5 %",
         "0.99",
         "Items processed",
         "ingest",

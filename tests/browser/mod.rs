@@ -11,6 +11,7 @@ mod lasting;
 mod layout;
 mod map;
 mod mistakes;
+mod overview;
 mod report;
 mod waveforms;
 mod workspace;

@@ -20,7 +20,7 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
         .wait(
             "the waveform",
             &format!(
-                "document.querySelector('#plot-waveform-floor-2 canvas') && / · -[\\d.e-]+ to [\\d.e-]+ m\\/s²$/.test({})",
+                "document.querySelector('#plot-waveform-floor-2 canvas') && / · −[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ to −?[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ m\\/s²$/.test({})",
                 readout("waveform")
             ),
         )
@@ -36,7 +36,7 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
     browser
         .wait(
             "the RMS",
-            &format!("/^[\\d.e-]+ m\\/s²$/.test({})", cell(4)),
+            &format!("/^[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ m\\/s²$/.test({})", cell(4)),
         )
         .await;
     // The waveform goes on without a reload.
@@ -61,7 +61,7 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
         .wait(
             "the spectrum",
             &format!(
-                "/^[\\d.]+ Hz · [\\d.e-]+ \\(m\\/s²\\)²\\/Hz · mean of \\d+ windows? of 20.48 s$/.test({})",
+                "/^[\\d.]+ Hz · [\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ \\(m\\/s²\\)²\\/Hz · mean of \\d+ windows? of 20.48 s$/.test({})",
                 readout("spectrum")
             ),
         )
@@ -72,7 +72,7 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
         .wait(
             "the highest density",
             &format!(
-                "/ · highest density at [\\d.]+ Hz: [\\d.e-]+ \\(m\\/s²\\)²\\/Hz$/.test({})",
+                "/ · highest density at [\\d.]+ Hz: [\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ \\(m\\/s²\\)²\\/Hz$/.test({})",
                 readout("spectrogram")
             ),
         )

@@ -2,7 +2,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, levelOf, natural, place, setSentence, time } from "./words.js";
+import { SERVICES, STATES, canBeSeen, levelOf, natural, place, setSentence, time, withMinus } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement. */
 const NAME_KEY = "spandrel-name";
@@ -18,8 +18,8 @@ export class AlertsPage {
     this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, t("all-states")), ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, STATES[state].word)));
     this.text = h("input", { id: "filter-text", type: "search", placeholder: t("part-or-words"), oninput: () => this.#show() });
     const field = (input, text) => h("label", { for: input.id }, text, " ", input);
-    this.standing = h("ul", { class: "alerts" });
-    this.changes = h("ul", { class: "alerts past" });
+    this.standing = new AlertList("alerts", true, this.dialog);
+    this.changes = new AlertList("alerts past", false, this.dialog);
     this.none = h("p", { class: "empty" }, t("loading"));
     this.noChanges = h("p", { class: "empty" });
     this.element = h(
@@ -29,10 +29,10 @@ export class AlertsPage {
       h("form", { class: "filter", onsubmit: (event) => event.preventDefault() }, field(this.structure, t("structure")), field(this.state, t("state")), field(this.text, t("contains"))),
       h("h2", {}, t("now")),
       this.none,
-      this.standing,
+      this.standing.elements,
       h("h2", {}, t("changes-since-the-dashboard-was-started")),
       this.noChanges,
-      this.changes,
+      this.changes.elements,
       this.dialog.element,
     );
     this.wanted = parameters.get("structure") ?? "";
@@ -71,18 +71,48 @@ export class AlertsPage {
       (!this.text.value || `${alert.parameter} ${alert.why} ${alert.acknowledged_by ?? ""} ${alert.note ?? ""}`.toLowerCase().includes(this.text.value.toLowerCase()));
     const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.time_ns - a.time_ns || natural(a.parameter, b.parameter));
     const changes = this.answer.changes.filter(isAsked).slice(0, 200);
-    keyed(this.standing, standing, (alert) => `${alert.structure}/${alert.parameter}`, () => this.#make(true), updateAlert);
-    keyed(this.changes, changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, () => this.#make(false), updateAlert);
-    this.none.hidden = standing.length > 0;
-    const isFiltered = this.structure.value || this.state.value || this.text.value;
-    setText(this.none, isFiltered ? t("no-alert-matches-the-filter") : t("no-rule-has-reached-a-decision-yet"));
-    this.noChanges.hidden = changes.length > 0;
+    const isFiltered = Boolean(this.structure.value || this.state.value || this.text.value);
+    const hasAlert = this.standing.show(standing, (alert) => `${alert.structure}/${alert.parameter}`, isFiltered);
+    const hasChange = this.changes.show(changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, isFiltered);
+    this.none.hidden = hasAlert;
+    setText(this.none, isFiltered ? t("no-alert-matches-the-filter") : standing.length > 0 ? t("no-alert") : t("no-rule-has-reached-a-decision-yet"));
+    this.noChanges.hidden = hasChange;
     setText(this.noChanges, isFiltered ? t("no-change-matches-the-filter") : t("no-changes"));
   }
+}
 
-  #make(canAcknowledge) {
+/** States of an alert that need nobody. */
+const ROUTINE = ["normal", "learning", "undecided"];
+
+/** A list of alerts or changes. Routine ones are folded away, unless a filter asks for them. */
+class AlertList {
+  constructor(className, canAcknowledge, dialog) {
+    this.canAcknowledge = canAcknowledge;
+    this.dialog = dialog;
+    this.urgent = h("ul", { class: className });
+    this.routine = h("ul", { class: className });
+    this.title = h("summary");
+    this.folded = h("details", { class: "routine" }, this.title, this.routine);
+  }
+
+  get elements() {
+    return [this.urgent, this.folded];
+  }
+
+  /** Shows the alerts, and returns whether any of them is not folded away. */
+  show(alerts, key, isFiltered) {
+    const isUrgent = ({ state }) => isFiltered || !ROUTINE.includes(state);
+    const [urgent, routine] = [alerts.filter(isUrgent), alerts.filter((alert) => !isUrgent(alert))];
+    keyed(this.urgent, urgent, key, () => this.#make(), updateAlert);
+    keyed(this.routine, routine, key, () => this.#make(), updateAlert);
+    this.folded.hidden = routine.length === 0;
+    setText(this.title, this.canAcknowledge ? t("parts-without-an-alert", routine.length) : t("changes-between-normal-learning-and-undecided", routine.length));
+    return urgent.length > 0;
+  }
+
+  #make() {
     const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")) };
-    parts.button = canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, t("acknowledge")) : null;
+    parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, t("acknowledge")) : null;
     parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
   }
@@ -99,12 +129,12 @@ function updateAlert(parts, alert) {
   const isNormal = alert.state === "normal" && alert.now;
   setSentence(parts.why, isNormal ? `${alert.parameter} is normal by the newest value: ${alert.now}` : alert.why);
   parts.now.hidden = !alert.now || isNormal;
-  setText(parts.now, alert.now ? t("by-the-newest-value", alert.now) : "");
+  setText(parts.now, alert.now ? t("by-the-newest-value", withMinus(alert.now)) : "");
   setText(parts.when, time(alert.time_ns / 1e9));
   setText(parts.seen, alert.acknowledged_by ? t("alert-seen-by", alert.acknowledged_by, alert.note ? `: ${alert.note}` : "") : "");
   parts.seen.hidden = !alert.acknowledged_by;
   parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
-  parts.link.parentElement.hidden = ["normal", "learning", "undecided"].includes(alert.state);
+  parts.link.parentElement.hidden = ROUTINE.includes(alert.state);
   if (parts.button) parts.button.hidden = !canBeSeen(alert);
 }
 

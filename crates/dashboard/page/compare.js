@@ -4,7 +4,7 @@
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { Plot, css, look, padded } from "./plot.js";
-import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, natural, setSentence, time, timeOfField } from "./words.js";
+import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfField } from "./words.js";
 import { Extent } from "./year.js";
 
 /** Number of points of each series and range. */
@@ -141,7 +141,7 @@ export class CompareTab {
     this.quantities = [
       ...parameters.map(({ name, stiffness }) => ({ name, series: `parameter/${name}`, unit: "", axis: stiffness ? AXES.stiffness : AXES.ratio, areIndependent: false })),
       ...modes.map(({ name }) => ({ name, series: `mode/${name}`, unit: "Hz", axis: t("natural-frequency-hz"), areIndependent: true })),
-    ].sort((a, b) => a.areIndependent - b.areIndependent || natural(a.name, b.name));
+    ];
     this.points = new TwoRanges(page.name);
     this.points.extent.onchange(() => this.#redraw());
     this.fields = KEYS.map((key) => ({ from: h("input", { id: `${key}-from`, required: true }), to: h("input", { id: `${key}-to`, required: true }) }));
@@ -352,6 +352,8 @@ function comparePlot({ name, series, unit, axis, areIndependent }, points) {
         const highs = [4, 6].flatMap((column) => seen(column).at(Math.round(0.95 * (seen(column).length - 1))) ?? []);
         return lows.length > 0 ? padded(u, Math.min(...lows), Math.max(...highs)) : [0, 1];
       },
+      // The ranges can end at different times.
+      newest: ([times, first, second]) => times.findLastIndex((_, row) => first[row] != null && second[row] != null),
       readout: (data, at) => t("first-second", told(data, at, 1), told(data, at, 2)),
     },
     points,

@@ -2,7 +2,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { COLUMNS, SERVICES, STATES, place, setSentence, time } from "./words.js";
+import { COLUMNS, SERVICES, STATES, URGENCIES, place, setSentence, time } from "./words.js";
 
 export class EventsTab {
   key = "events";
@@ -25,7 +25,14 @@ export class EventsTab {
       const { sign, word, level } = STATES[change.state];
       return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert-became", sign, word), why: change.why, level, parameter: change.parameter };
     };
-    const ofEvent = ({ time_ns, kind, subject, what, why }) => ({ key: `${subject}/${what}`, time_ns, about: subject, what, why, level: "learning", parameter: null, report: kind === "earthquake-report" ? subject : null });
+    const ofEvent = ({ time_ns, kind, subject, what, why }) => {
+      const path = report(this.page.name, subject);
+      const isReport = kind === "earthquake-report";
+      const level = (isReport && URGENCIES[what.split(": ")[1]]) || "learning";
+      // A button leads to the report, so the sentence needs no address at its end.
+      const isOfQuake = why.endsWith(path);
+      return { key: `${subject}/${what}`, time_ns, about: isOfQuake ? t("earthquake") : subject, what, why: isOfQuake ? why.slice(0, -path.length).trimEnd().replace(/:$/, "") : why, level, parameter: null, report: isReport ? subject : null };
+    };
     const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
     this.none.hidden = all.length > 0;
     this.table.hidden = all.length === 0;
@@ -35,11 +42,11 @@ export class EventsTab {
   #make({ time_ns, about, what, level, parameter, report: made }) {
     const at = time_ns / 1e9;
     const why = h("p", { class: "why", lang: SERVICES });
-    const read = made ? [h("a", { class: "button small", href: report(this.page.name, made) }, t("report")), " "] : [];
+    const read = made ? h("a", { class: "button small", href: report(this.page.name, made) }, t("report")) : null;
     const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": t("show-at", about, time(at)) }, t("show"));
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, what);
-    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, read, show)), why };
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, h("div", { class: "buttons" }, read, show))), why };
   }
 }
 

@@ -6,7 +6,9 @@ import { natural } from "./words.js";
 export class PlotGroup {
   #plots = new Map();
 
-  constructor(key, title, text) {
+  /** `names` is the order of the plots. Other plots have the natural order of their names. */
+  constructor(key, title, text, names = []) {
+    this.names = names;
     this.holder = h("div", { class: "plots" });
     this.element = h("section", { class: "group", id: `group-${key}`, hidden: true }, h("h2", {}, title), text ? h("p", { class: "group-text" }, text) : null, this.holder);
   }
@@ -15,12 +17,14 @@ export class PlotGroup {
     return [...this.#plots.values()];
   }
 
-  /** Adds a plot in the natural order of the keys, unless it exists. `kind` is that of a further plot. */
+  /** Adds a plot at its place, unless it exists. `kind` is that of a further plot. */
   add(name, make, kind = "") {
     const key = kind ? `${name} ${kind}` : name;
     if (this.#plots.has(key)) return;
     const plot = Object.assign(make(), { group: name });
-    const after = [...this.#plots.keys()].filter((other) => natural(other, key) > 0).sort(natural)[0];
+    const place = ([key, { group }]) => [this.names.indexOf(group), key];
+    const compare = (a, b) => place(a)[0] - place(b)[0] || natural(place(a)[1], place(b)[1]);
+    const [after] = [...this.#plots].filter((other) => compare(other, [key, plot]) > 0).sort(compare)[0] ?? [];
     this.holder.insertBefore(plot.element, this.#plots.get(after)?.element ?? null);
     this.#plots.set(key, plot);
     this.element.hidden = false;

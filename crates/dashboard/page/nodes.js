@@ -21,7 +21,7 @@ export class NodeTable {
    */
   update(names, nodes) {
     const make = () => {
-      const cells = HEADS.map((text, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", column >= 2 ? { class: "number" } : {})));
+      const cells = HEADS.map((text, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { class: column >= 2 ? "number" : null, "data-head": text })));
       return { element: h("tr", {}, cells), cells };
     };
     keyed(this.rows, names.filter((name) => nodes[name]), (name) => name, make, (row, name) => this.#fill(row, nodes[name]));

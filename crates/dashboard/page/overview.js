@@ -2,11 +2,11 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { report } from "./events.js";
-import { t } from "./language.js";
+import { language, t } from "./language.js";
 import { StructureMap } from "./map.js";
 import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
-import { LEVELS, SEARCH_ABOVE, SERVICES, STATES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, wordOf } from "./words.js";
+import { LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, withMinus, wordOf } from "./words.js";
 
 export class OverviewPage {
   constructor(connection) {
@@ -16,8 +16,8 @@ export class OverviewPage {
     this.none = h("p", { class: "empty", hidden: true }, t("no-structure-matches-the-search"));
     this.map = new StructureMap();
     this.tools = h("div", { class: "tools" });
-    this.reported = h("ol", {});
-    this.quakes = h("section", { "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, t("after-the-earthquake")), this.reported);
+    this.reported = h("ol", { class: "reported" });
+    this.quakes = h("section", { class: "card", "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, t("after-the-earthquake")), this.reported);
     this.element = h("div", { class: "overview" }, h("h1", {}, t("structures")), this.summary, this.quakes, this.map.element, this.tools, this.list, this.none);
     this.lines = new Sparklines();
     connection.listen(null);
@@ -31,17 +31,18 @@ export class OverviewPage {
   }
 
   show({ structures }) {
-    setText(this.summary, summary(structures));
-    this.summary.dataset.level = structures[0]?.level ?? "learning";
+    const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
+    const { level, text } = summary(structures, shaken);
+    setText(this.summary, text);
+    this.summary.dataset.level = level;
     // Only many structures need a search and short cards.
     this.search ??= searchField(structures.length, t("find-a-structure"), () => this.show({ structures: this.structures }));
     if (this.search.element && !this.search.element.parentElement) this.tools.append(this.search.element);
     this.structures = structures;
-    const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
     this.quakes.hidden = shaken.length === 0;
     keyed(this.reported, shaken, ({ name }) => name, makeReported, updateReported);
     this.list.classList.toggle("is-many", structures.length > SEARCH_ABOVE);
-    const found = structures.filter(({ name, description, sentence }) => this.search.finds(`${name} ${description} ${sentence}`));
+    const found = structures.filter(({ name, description, sentence, level }) => this.search.finds(`${name} ${description} ${sentence} ${LEVELS[level].word}`));
     this.map.show(found);
     this.none.hidden = found.length > 0 || structures.length === 0;
     const make = (structure) => {
@@ -56,38 +57,67 @@ export class OverviewPage {
   }
 }
 
-function summary(structures) {
-  if (structures.length === 0) return t("no-structure-is-watched");
-  const urgent = structures.filter(({ level }) => level === "alarm" || level === "stale" || level === "warning");
+/** Returns the most urgent level with the sentence about all structures. `shaken` are those with a report. */
+function summary(structures, shaken) {
+  const { level } = structures[0] ?? { level: "learning" };
+  if (structures.length === 0) return { level, text: t("no-structure-is-watched") };
   const of = structures.length === 1 ? t("1-structure") : t("many-structures", structures.length);
-  const seen = structures.filter(({ level }) => level === "notice").map(({ name }) => name);
-  if (urgent.length === 0 && seen.length > 0) return t("watched-nothing-new-acknowledged", LEVELS.notice.sign, of, seen.join(", "));
-  if (urgent.length === 0) return t("watched-nothing-needs-attention", of);
-  const names = urgent.map(({ name }) => name).join(", ");
-  const { sign } = LEVELS[urgent[0].level];
-  return urgent.length === 1 ? t("1-of-needs-attention", sign, of, names) : t("of-need-attention", sign, urgent.length, of, names);
+  const at = (...levels) => structures.filter((one) => levels.includes(one.level));
+  const urgent = at("alarm", "stale", "warning");
+  const told = (key, of_level, ...values) => ({ level: of_level, text: t(key, LEVELS[of_level].sign, ...values) });
+  if (urgent.length === 1) return told("1-of-needs-attention", level, of, urgent[0].name);
+  if (urgent.length > 1) return told("of-need-attention", level, urgent.length, of, namesOrCounts(urgent));
+  const inspected = shaken.filter(({ earthquake }) => INSPECTED.includes(earthquake.urgency));
+  if (inspected.length > 0) return told("watched-an-inspector-is-needed", URGENCIES[inspected[0].earthquake.urgency], of, inspected.map(({ name }) => name).join(", "));
+  const [seen, open] = [at("notice"), at("undecided", "learning")];
+  if (seen.length > 0) return told("watched-no-new-alarm", "notice", of, namesOrCounts(seen));
+  if (open.length > 0) return told("watched-no-decision-on", level, of, namesOrCounts(open));
+  return { level, text: t("watched-nothing-needs-attention", of) };
 }
 
-/** Words of a report for how soon an inspector is needed, the most urgent first. */
-const URGENCIES = ["inspect first", "inspect", "watch", "no action"];
+/** Largest number of structures that the summary names. With more, it counts them by level. */
+const MOST_NAMED = 8;
+
+function namesOrCounts(structures) {
+  if (structures.length <= MOST_NAMED) return structures.map(({ name }) => name).join(", ");
+  const counted = Object.entries(LEVELS).map(([key, { sign, word }]) => [`${sign} ${word}`, structures.filter(({ level }) => level === key).length]);
+  return counted.filter(([, count]) => count > 0).map(([text, count]) => `${text} ${count}`).join(", ");
+}
+
+/** Urgencies that ask for an inspector. */
+const INSPECTED = ["inspect first", "inspect"];
 
 /** Orders reports by their urgency, then by the loss by the newest value. */
 function byUrgency(a, b) {
-  const known = ({ earthquake }) => URGENCIES.includes(earthquake.urgency);
-  const rank = (one) => (known(one) ? URGENCIES.indexOf(one.earthquake.urgency) : URGENCIES.length);
+  const words = Object.keys(URGENCIES);
+  const rank = ({ earthquake: { urgency } }) => (urgency in URGENCIES ? words.indexOf(urgency) : words.length);
   return rank(a) - rank(b) || (b.worst?.loss ?? 0) - (a.worst?.loss ?? 0) || natural(a.name, b.name);
 }
 
 function makeReported() {
+  const badge = h("span", { class: "badge" });
   const link = h("a", {});
-  const result = h("span", {});
-  return { element: h("li", {}, link, ": ", result), link, result };
+  const when = h("time");
+  const result = h("p", { lang: SERVICES });
+  const later = h("p", { class: "group-text", lang: SERVICES });
+  return { element: h("li", {}, h("div", { class: "card-head" }, badge, link, when), result, later), badge, link, when, result, later };
 }
 
-function updateReported({ link, result }, { name, earthquake }) {
+function updateReported({ element, badge, link, when, result, later: last }, { name, earthquake }) {
+  const { urgency, later } = earthquake;
+  const level = URGENCIES[urgency] ?? "learning";
+  element.dataset.level = level;
+  setText(badge, `${LEVELS[level].sign} ${urgencyWord(urgency)}`);
   link.href = report(name, earthquake.report);
   setText(link, name);
-  setText(result, `${earthquake.urgency}. ${earthquake.result} (${time(earthquake.time_s)})`);
+  setText(when, time(earthquake.time_s));
+  setSentence(result, earthquake.result);
+  last.hidden = !later;
+  if (later) last.replaceChildren(h("a", { href: report(name, later.report), lang: language }, t("latest-report")), ` (${time(later.time_s)}): `, h("span", { lang: language }, urgencyWord(later.urgency)), `. ${later.result}`);
+}
+
+function urgencyWord(urgency) {
+  return wordOf(urgency.replaceAll(" ", "-"));
 }
 
 function makeCard(structure) {
@@ -144,7 +174,7 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   showAcknowledged(seen, structure);
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
-  setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)} ± ${ratio(worst.std)}` : "–");
+  setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)}\u00a0±\u00a0${ratio(worst.std)}` : "–");
   const asked = worst ? t("for-more-than", percent(worst.rule_loss, 0)) : "";
   setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? t("not", sensors.troubled.join(", ")) : "";
@@ -164,7 +194,7 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
  */
 export function showNow(line, now, age_s) {
   line.hidden = !now;
-  if (now) setText(line, `${age_s === null || age_s > 3 ? t("by-the-last-value") : t("now")}: ${now}`);
+  if (now) setText(line, `${age_s === null || age_s > 3 ? t("by-the-last-value") : t("now")}: ${withMinus(now)}`);
 }
 
 /** Shows beside any other level that somebody has acknowledged an active alert. */

@@ -5,7 +5,7 @@ import { h, s, setText } from "./dom.js";
 import { t } from "./language.js";
 import { flags } from "./marks.js";
 import { shapeKey } from "./shapes.js";
-import { clock, isLocal, isWithoutDate, moment, recordTime, zone } from "./words.js";
+import { clock, isLocal, isWithoutDate, moment, powerOfTen, recordTime, typeset, zone } from "./words.js";
 
 /* global uPlot */
 
@@ -19,6 +19,17 @@ const WORD_SIZE = 12;
 const TOP_ROOM = 8;
 /** Minimum gap in time, in usual steps, that is drawn as a gap. */
 const HOLE_STEPS = 8;
+
+/** Width of a character of the y axis (px). */
+const CHARACTER = 7;
+const [MINUTE_S, HOUR_S, DAY_S] = [60, 3600, 86400];
+/** Possible distances of the times of an axis (s). The usual ones of uPlot lack 2 s, 2 min and 20 min. */
+const TIME_STEPS = [
+  ...[0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30],
+  ...[1, 2, 5, 10, 15, 20, 30].map((minutes) => MINUTE_S * minutes),
+  ...[1, 2, 3, 4, 6, 8, 12].map((hours) => HOUR_S * hours),
+  ...[1, 2, 3, 4, 5, 7, 10, 15, 30, 60, 90, 120, 180, 365, 730, 1825, 3650].map((days) => DAY_S * days),
+];
 
 /** Colours of lines, distinguishable with red-green colour blindness (Okabe and Ito). */
 export const COLOURS = ["--line-1", "--line-2", "--line-3", "--line-4", "--line-5", "--line-6", "--line-7"];
@@ -62,6 +73,7 @@ export class Plot {
    * - `across()`: returns the title of the x axis, if it does not show the time
    * - `height`: height (px)
    * - `sync`: name of the plots that share the crosshair
+   * - `newest(data)`: index of the row that is read without a crosshair, if it is not the last one
    * - `isSinceStart`: whether the times are since the start of a range
    */
   constructor(plot, points, span) {
@@ -234,7 +246,8 @@ export class Plot {
     const data = this.#uplot.data;
     const last = lastOf(data);
     // Refetched data may have fewer rows than the crosshair's index.
-    const at = last === null ? null : Math.min(index ?? last, last);
+    const newest = this.plot.newest?.(data) ?? last;
+    const at = last === null ? null : Math.min(index ?? (newest < 0 ? last : newest), last);
     const at_s = this.plot.at ?? (this.plot.isSinceStart ? recordTime : clock);
     const when = this.plot.across ? "" : `${at_s(data[0][at ?? 0])} · `;
     const text = at === null ? "" : `${when}${this.plot.readout(data, at)}`;
@@ -273,8 +286,8 @@ export class Plot {
       axes: [
         across
           ? { ...xAxis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(labelOf(isLogarithmicX)), label: across, labelSize: 18 }
-          : { ...xAxis, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("axis-time", zone(u.scales.x.max))), labelSize: 18 },
-        { ...yAxis, label: this.plot.unit, labelSize: 20, space: 24, size: isNarrow ? 54 : 62, values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? labelOf(isLogarithmicY)(tick)) },
+          : { ...xAxis, incrs: TIME_STEPS, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("axis-time", zone(u.scales.x.max))), labelSize: 18 },
+        { ...yAxis, label: this.plot.unit, labelSize: 20, space: 24, size: (_, values) => Math.max(isNarrow ? 54 : 62, CHARACTER * Math.max(0, ...(values ?? []).map((text) => text?.length ?? 0)) + 16), values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? labelOf(isLogarithmicY)(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
       bands: this.plot.bands?.() ?? [],
@@ -403,7 +416,7 @@ export function timeTicks(splits, step) {
 function compact(tick) {
   if (tick === null) return null; // a tick of a logarithmic axis without a label
   const size = Math.abs(tick);
-  return size !== 0 && (size < 1e-3 || size >= 1e5) ? tick.toExponential(1) : String(Number(tick.toPrecision(6)));
+  return typeset(size !== 0 && (size < 1e-3 || size >= 1e5) ? tick.toExponential(1) : String(Number(tick.toPrecision(6))));
 }
 
 function isDecade(tick) {
@@ -415,8 +428,7 @@ export function power(tick) {
   if (tick === null || !isDecade(tick)) return null;
   const exponent = Math.round(Math.log10(tick));
   if (Math.abs(exponent) <= 2) return compact(tick);
-  const digits = [...String(Math.abs(exponent))].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
-  return `10${exponent < 0 ? "⁻" : ""}${digits.join("")}`;
+  return powerOfTen(exponent);
 }
 
 function lastOf(data) {

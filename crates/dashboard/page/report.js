@@ -229,7 +229,7 @@ function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
 
 function parameterTable(about, overview, standing, changes, series, period) {
   const ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
-  const rows = about.parameters.toSorted((a, b) => natural(a.name, b.name)).map((parameter) => {
+  const rows = about.parameters.map((parameter) => {
     const { level, words } = stateAtEnd(parameter, ruled, overview, standing, changes, period);
     const [, means, stds] = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
     const row = means.findLastIndex((mean) => mean !== null);
@@ -245,8 +245,7 @@ function parameterTable(about, overview, standing, changes, series, period) {
 
 /** Draws all parameters. Stiffnesses share a scale. */
 function parameterCharts({ parameters }, standing, changes, series, shown) {
-  const sorted = parameters.toSorted((a, b) => natural(a.name, b.name));
-  const drawn = sorted.map((parameter) => {
+  const drawn = parameters.map((parameter) => {
     const columns = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
     const loss = parameter.stiffness ? standing.losses[parameter.name] : null;
     const bound = loss ? { y: (1 - loss.rule_loss) * loss.reference, text: t("threshold-lost", percent(loss.rule_loss, 0)) } : null;
@@ -288,7 +287,7 @@ function modeList({ modes }) {
 
 function sensorTable({ drawing }, { sensors }) {
   const units = new Map(drawing.sensors.map(({ channel, quantity, unit: of }) => [channel, { quantity, of }]));
-  const rows = sensors.toSorted((a, b) => natural(a.channel, b.channel)).map(({ channel, node, health, level }) => {
+  const rows = sensors.map(({ channel, node, health, level }) => {
     const { sign, word, level: attention } = HEALTH[health];
     const { quantity, of } = units.get(channel) ?? { quantity: "", of: "" };
     const [rate, , rms, peak, last] = levelWords(level, of);

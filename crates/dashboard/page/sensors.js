@@ -9,7 +9,7 @@ import { searchField } from "./search.js";
 import { Scale } from "./span.js";
 import { Spectra, spectrumPlot } from "./spectra.js";
 import { spectrogramPlot } from "./spectrogram.js";
-import { COLUMNS, HEALTH, clockWords, compared, conditionWords, levelWords, natural, number, percent, time, unit, wordOf } from "./words.js";
+import { COLUMNS, HEALTH, clockWords, compared, conditionWords, levelWords, number, percent, time, unit, wordOf } from "./words.js";
 
 export class SensorsTab {
   key = "sensors";
@@ -33,9 +33,10 @@ export class SensorsTab {
     this.own = h("input", { type: "checkbox", onchange: () => this.#rescale() });
     this.spectra = new Spectra(page.name);
     this.spectra.band.onchange(() => this.groups.spectra.plots.forEach((plot) => plot.dirty()));
+    const channels = [...this.sensors.keys()];
     this.groups = {
-      waveforms: new PlotGroup("waveforms", t("waveforms"), t("the-samples-between-the-minimum-and-the")),
-      spectra: new PlotGroup("spectra", t("spectra"), t("power-spectral-density-of-about-the-last")),
+      waveforms: new PlotGroup("waveforms", t("waveforms"), t("the-samples-between-the-minimum-and-the"), channels),
+      spectra: new PlotGroup("spectra", t("spectra"), t("power-spectral-density-of-about-the-last"), channels),
       nodes: new PlotGroup("nodes", t("distributed-nodes"), t("a-node-far-beyond-the-red-dashed")),
       outliers: new PlotGroup("outliers", t("outliers")),
       conditions: new PlotGroup("conditions", t("conditions"), t("slow-quantities-that-instruments-measure-beside-the")),
@@ -149,8 +150,7 @@ export class SensorsTab {
       const cells = COLUMNS.levels.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head, class: column > 1 && column < COLUMNS.levels.length - 1 ? "number" : null })));
       return { element: h("tr", {}, cells), cells };
     };
-    const sorted = sensors.toSorted((a, b) => natural(a.channel, b.channel));
-    keyed(this.levels, sorted, (sensor) => sensor.channel, make, ({ element, cells }, { channel, health, level }) => {
+    keyed(this.levels, sensors, (sensor) => sensor.channel, make, ({ element, cells }, { channel, health, level }) => {
       const { sign, word, level: attention } = HEALTH[health];
       element.dataset.level = attention;
       const texts = [channel, `${sign} ${word}`, ...levelWords(level, this.sensors.get(channel)?.unit ?? "")];

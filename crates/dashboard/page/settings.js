@@ -2,7 +2,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { COLUMNS, lag, natural, number, percent, unit } from "./words.js";
+import { COLUMNS, count, lag, natural, number, unit } from "./words.js";
 
 export class SettingsTab {
   key = "settings";
@@ -13,8 +13,8 @@ export class SettingsTab {
     this.services = h("tbody");
     const heads = (columns) => h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text))));
     const scroll = (label) => ({ class: "scroll", tabindex: "0", role: "region", "aria-label": label });
-    const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", {}, text))));
-    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", percent(loss)), String(credibility), `${number(sustain_s)} s`]));
+    const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", { "data-head": COLUMNS.rules[column] }, text))));
+    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), String(credibility), `${number(sustain_s)} s`]));
     const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
     const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
     this.element = h(
@@ -37,19 +37,19 @@ export class SettingsTab {
           fact(t("conditions"), about.conditions.map(range).join(", ") || t("none")),
         ),
       ),
-      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", {}, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, t("the-structure-file-contains-no-rule"))),
+      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", { class: "rules" }, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, t("the-structure-file-contains-no-rule"))),
       h("section", { class: "card" }, h("h2", {}, t("services")), h("div", scroll(t("services")), h("table", { class: "services" }, heads(COLUMNS.services), this.services))),
     );
   }
 
   update({ services }) {
     const make = () => {
-      const cells = COLUMNS.services.map((_, column) => (column === 0 ? h("th", { scope: "row" }) : h("td")));
+      const cells = COLUMNS.services.map((_, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": COLUMNS.services[column] })));
       return { element: h("tr", {}, cells), cells };
     };
     keyed(this.services, services, (service) => `${service.service}/${service.id}`, make, ({ cells }, { service, id, present, lag_s, status }) => {
       const drops = Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`);
-      const texts = [service === id ? service : `${service} ${id}`, present ? t("service-alive") : t("service-gone"), lag(lag_s), status ? String(status.done) : "–", drops.join(", ") || t("nothing")];
+      const texts = [service === id ? service : `${service} ${id}`, present ? t("service-alive") : t("service-gone"), lag(lag_s), status ? count(status.done) : "–", drops.join(", ") || t("nothing")];
       texts.forEach((text, column) => setText(cells[column], text));
     });
   }

@@ -107,8 +107,13 @@ export function setSentence(element, text) {
   for (const { 0: stamp, index } of text.matchAll(STAMP)) {
     const seconds = Date.parse(stamp.replace(" ", "T").replace(" UTC", "Z")) / 1000;
     const shown = stamp.endsWith("UTC") && Number.isFinite(seconds) ? time(seconds) : stamp;
-    pieces.push(text.slice(end, index), h("span", { class: "whole" }, shown));
+    pieces.push(withMinus(text.slice(end, index)), h("span", { class: "whole" }, shown));
     end = index + stamp.length;
   }
-  element.replaceChildren(...pieces, text.slice(end));
+  element.replaceChildren(...pieces, withMinus(text.slice(end)));
+}
+
+/** Returns a text with a minus sign before negative numbers. Names with hyphens stay as they are. */
+export function withMinus(text) {
+  return text.replaceAll(/(?<![\p{L}\d_.-])-(?=\d)/gu, "−");
 }

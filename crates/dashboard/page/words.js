@@ -12,7 +12,7 @@ export const LEVELS = {
   alarm: { sign: "▲", word: t("level-alarm") },
   stale: { sign: "✕", word: t("level-stale") },
   warning: { sign: "◆", word: t("warning") },
-  notice: { sign: "●", word: t("seen") },
+  notice: { sign: "●", word: t("level-notice") },
   undecided: { sign: "?", word: t("level-undecided") },
   learning: { sign: "…", word: t("level-learning") },
   normal: { sign: "✓", word: t("level-normal") },
@@ -69,6 +69,9 @@ export const STATES = {
   learning: { sign: "…", word: t("state-learning"), level: "learning" },
   normal: { sign: "✓", word: t("state-normal"), level: "normal" },
 };
+
+/** Words of a report for how soon an inspector is needed, the most urgent first, with their levels. */
+export const URGENCIES = { "inspect first": "alarm", inspect: "warning", watch: "notice", "no action": "normal" };
 
 /** Signs and levels of the verdicts on the fit. */
 export const FITS = {
@@ -169,8 +172,25 @@ export function ratio(value) {
 export function number(value) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-3 || size >= 1e5)) return value.toExponential(2);
-  return String(Number(value.toPrecision(4)));
+  if (size !== 0 && (size < 1e-3 || size >= 1e5)) return typeset(value.toExponential(2));
+  return typeset(String(Number(value.toPrecision(4))));
+}
+
+/** Returns a number with a minus sign instead of a hyphen, and with a power of ten: −1.25·10⁻⁴. */
+export function typeset(text) {
+  const [digits, exponent] = text.split("e");
+  return digits.replace("-", "−") + (exponent === undefined ? "" : `·${powerOfTen(Number(exponent))}`);
+}
+
+/** Returns a power of ten: 10⁻⁴. */
+export function powerOfTen(exponent) {
+  const digits = [...String(Math.abs(exponent))].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+  return `10${exponent < 0 ? "⁻" : ""}${digits.join("")}`;
+}
+
+/** Formats a whole number, with its thousands apart. */
+export function count(value) {
+  return String(value).replaceAll(/\B(?=(\d{3})+$)/g, "\u202f");
 }
 
 /** Formats an amount of payload. */
@@ -211,7 +231,7 @@ const FAULTS = {
 /** Returns how a channel compares with the others, in the columns of the table of sensors. */
 export function compared(channel) {
   if (!channel || channel.gain === null) return { relation: "–", fault: "–" };
-  const factor = t("factor-delay-ms", channel.gain.toFixed(2), (1000 * channel.delay_s).toFixed(0));
+  const factor = t("factor-delay-ms", typeset(channel.gain.toFixed(2)), typeset(String(Math.round(1000 * channel.delay_s) || 0)));
   return { relation: channel.fault ? FAULTS[channel.fault](channel) : factor, fault: probability(channel.probability) };
 }
 
@@ -272,7 +292,10 @@ export function judgementWords({ word: judged, sentence, change, seen, epoch_ns:
   return { level, text: parts.join(" ") };
 }
 
-const signed = (value, digits) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+const signed = (value, digits) => {
+  const text = Math.abs(value).toFixed(digits);
+  return `${Number(text) === 0 ? "" : value < 0 ? "−" : "+"}${text}`;
+};
 
 /** Returns a value of a compared quantity, with the decimals of its kind. */
 export function comparedValue(value, of) {

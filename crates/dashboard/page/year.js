@@ -4,7 +4,7 @@ import { dateOf, noon } from "./course.js";
 import { t } from "./language.js";
 import { Plot, css } from "./plot.js";
 import { drawShape } from "./shapes.js";
-import { AXES, number, unit } from "./words.js";
+import { AXES, number, typeset, unit, wordOf } from "./words.js";
 
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
 const HALF_95 = 1.96;
@@ -72,7 +72,7 @@ function quantile(values, share) {
 /** Returns the mark of the day on which a change was found. */
 function found(course) {
   const change = course?.rows.at(-1)?.change;
-  return change ? [{ x: noon(change.found_ns), text: t("found", change.kind), colour: "--alarm" }] : [];
+  return change ? [{ x: noon(change.found_ns), text: t("found", wordOf(change.kind)), colour: "--alarm" }] : [];
 }
 
 /** Returns the mark of the most probable first day of a change. */
@@ -153,7 +153,7 @@ export function residualPlot(points, span) {
     range: (_, least, largest) => [Math.min(-3, 1.08 * (least ?? 0)), Math.max(3, 1.08 * (largest ?? 0))],
     paint: (u) => paint(u, Object.values(KINDS), 1),
     marks: () => [...begun(points.course), { y: 0, text: "" }, { y: HALF_95, text: "" }, { y: -HALF_95, text: t("95-per-cent-of-sound-days") }],
-    readout: (row) => (row?.expectation ? t("residual", row.expectation.residual.toFixed(2)) : words(row)),
+    readout: (row) => (row?.expectation ? t("residual", typeset(row.expectation.residual.toFixed(2))) : words(row)),
   });
   return new Plot(plot, points, span);
 }
@@ -175,7 +175,7 @@ export function evidencePlot(points, span) {
       return [LEAST_EVIDENCE, Math.min(Math.max(1.15 * threshold, 1.05 * (largest ?? 0)), MOST_THRESHOLDS * threshold)];
     },
     marks: () => [...found(points.course), ...(last() ? [{ y: last().ln_threshold, text: t("threshold"), colour: "--alarm" }] : [])],
-    readout: (row) => (row?.expectation ? t("evidence-of-cusum-at-per-cent-of", row.expectation.ln_evidence.toFixed(1), row.expectation.ln_threshold.toFixed(1), (100 * row.expectation.cusum_share).toFixed(0)) : words(row)),
+    readout: (row) => (row?.expectation ? t("evidence-of-cusum-at-per-cent-of", typeset(row.expectation.ln_evidence.toFixed(1)), row.expectation.ln_threshold.toFixed(1), (100 * row.expectation.cusum_share).toFixed(0)) : words(row)),
   });
   return new Plot(plot, points, span);
 }

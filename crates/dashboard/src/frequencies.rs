@@ -1,5 +1,5 @@
 //! Whether a structure without a model needs attention: its natural frequencies, and what is judged
-//! of them.
+//! of them. Lasting changes concern every structure.
 
 use crate::overview::Level;
 use crate::store::Store;
@@ -40,11 +40,9 @@ pub(crate) fn attention(store: &Store) -> (Level, String) {
     (level, sentence.to_owned())
 }
 
-/// Returns what is wrong with a structure without a model, the most urgent first.
+/// Returns the lasting changes, of which alerts say nothing. Without a model, also the natural
+/// frequencies that are lost.
 pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
-    if store.about.has_model {
-        return Vec::new(); // its alerts tell it
-    }
     let changed = store.state.judgements.values();
     let changed = changed.filter(|judgement| judgement.change.is_some());
     let mut concerns: Vec<(Level, String)> = changed
@@ -53,6 +51,9 @@ pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
             None => (Level::Warning, judgement.sentence.clone()),
         })
         .collect();
+    if store.about.has_model {
+        return concerns;
+    }
     let modes = store.state.modes.values();
     let lost: Vec<&str> = modes
         .filter(|mode| mode.state == ModeState::Lost)
@@ -72,7 +73,7 @@ pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
 mod tests {
     use super::*;
     use crate::overview::overview;
-    use crate::testing::{at, lasting_loss, mode, present, sensors_only};
+    use crate::testing::{at, demo_with_air, hear, lasting_loss, mode, present, sensors_only};
     use spandrel_bus::{
         ChangeSeen, Header, JudgementDisplay, ModeDisplay, ModeEstimate, Name, Progress, Service,
         ShapeValue,
@@ -150,6 +151,16 @@ mod tests {
             overview.sentence,
             "not used: floor-5; the natural frequencies use the other sensors"
         );
+    }
+
+    /// A lasting change is not an alert, so that the page showed a structure with a model as normal.
+    #[test]
+    fn lasting_change_of_a_structure_with_a_model_is_told() {
+        let mut store = demo_with_air();
+        hear(&mut store, "storey-2", 1, 0.95, 0.0);
+        let changed = lasting_loss("storey-2");
+        store.handle(Input::Judgement(changed.clone()));
+        assert_eq!(found(&store), (Level::Warning, changed.sentence.clone()));
     }
 
     #[test]

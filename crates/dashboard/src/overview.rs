@@ -1,7 +1,7 @@
 //! Overview of a structure: whether it needs attention, and why.
 
 use crate::frequencies;
-use crate::sensors::sensor_states;
+use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
@@ -65,7 +65,7 @@ pub(crate) struct Overview {
     /// Whether the present data reveal damage. `None` if the alert service does not report it.
     pub(crate) monitoring: Option<MonitoringState>,
     pub(crate) last_alert: Option<LastAlert>,
-    /// The last report of an earthquake, if it is not too old.
+    /// The most urgent report of an earthquake that is not too old.
     pub(crate) earthquake: Option<EarthquakeReported>,
     /// Number of raised alerts that are not acknowledged.
     pub(crate) raised: usize,
@@ -93,8 +93,11 @@ pub(crate) struct Worst {
 pub(crate) struct SensorCount {
     pub(crate) alive: usize,
     pub(crate) total: usize,
-    /// Names of the channels known not to work.
+    /// Names of the channels that need attention.
     pub(crate) troubled: Vec<String>,
+    /// Those of them whose samples are used.
+    #[serde(skip)]
+    pub(crate) doubtful: Vec<String>,
 }
 
 /// Last relevant change of an alert.
@@ -117,17 +120,40 @@ pub(crate) struct EarthquakeReported {
     pub(crate) urgency: String,
     /// The result in one or two sentences.
     pub(crate) result: String,
+    /// The newest report, if it is a less urgent one.
+    pub(crate) later: Option<Box<EarthquakeReported>>,
 }
 
 /// Time for which the overview shows a report (ns of measurement time). The last usual report of an
 /// earthquake follows after a day.
 const REPORTED_NS: i64 = 2 * 86_400_000_000_000;
 
+/// Words of a report for how soon an inspector is needed, the most urgent first.
+const URGENCIES: [&str; 4] = ["inspect first", "inspect", "watch", "no action"];
+
+/// Returns the most urgent report, and the newest one. A small aftershock needs no action by itself,
+/// which must not hide that an inspector is needed since the strong motion before.
 fn earthquake(store: &Store) -> Option<EarthquakeReported> {
-    let is_report = |event: &&Event| event.kind == EventKind::EarthquakeReport;
-    let event = store.events.iter().find(is_report)?;
-    let newest_ns = store.state.time_ns.unwrap_or(event.time_ns);
-    if newest_ns.saturating_sub(event.time_ns) > REPORTED_NS {
+    let newest_ns = store.state.time_ns.unwrap_or(i64::MIN);
+    let is_recent = |event: &&Event| newest_ns.saturating_sub(event.time_ns) <= REPORTED_NS;
+    let events = store.events.iter().filter(is_recent);
+    let reports: Vec<EarthquakeReported> =
+        events.filter_map(|event| reported(store, event)).collect();
+    let rank = |report: &EarthquakeReported| URGENCIES.iter().position(|of| *of == report.urgency);
+    // The events begin with the newest one, and the first of equal reports is the minimum.
+    let urgent = reports
+        .iter()
+        .min_by_key(|report| rank(report).unwrap_or(URGENCIES.len()))?;
+    let newest = reports.first().filter(|newest| *newest != urgent);
+    Some(EarthquakeReported {
+        later: newest.cloned().map(Box::new),
+        ..urgent.clone()
+    })
+}
+
+/// Returns what an event says about a report, or `None` for another event.
+fn reported(store: &Store, event: &Event) -> Option<EarthquakeReported> {
+    if event.kind != EventKind::EarthquakeReport {
         return None;
     }
     let path = ReportPage::path(&store.about.name, &event.subject);
@@ -136,6 +162,7 @@ fn earthquake(store: &Store) -> Option<EarthquakeReported> {
         time_s: event.time_ns as f64 / 1e9,
         urgency: event.what.strip_prefix(ReportPage::EVENT)?.to_owned(),
         result: event.why.trim_end_matches(&path).trim_end().to_owned(),
+        later: None,
     })
 }
 
@@ -245,17 +272,22 @@ fn lag_s(store: &Store) -> Option<f64> {
 
 fn sensor_count(store: &Store) -> SensorCount {
     let states = sensor_states(store);
-    let troubled = states
+    let troubled: Vec<&SensorState<'_>> = states
         .iter()
         .filter(|sensor| sensor.health.is_trouble())
-        .map(|sensor| sensor.channel.clone());
+        .collect();
+    let doubtful = troubled.iter().filter(|sensor| sensor.health.delivers());
     SensorCount {
         alive: states
             .iter()
             .filter(|sensor| sensor.health.delivers())
             .count(),
         total: states.len(),
-        troubled: troubled.collect(),
+        doubtful: doubtful.map(|sensor| sensor.channel.clone()).collect(),
+        troubled: troubled
+            .iter()
+            .map(|sensor| sensor.channel.clone())
+            .collect(),
     }
 }
 
@@ -348,16 +380,27 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
             .next()
             .map(|first| with_others(store, first))
     };
-    let troubled = (!sensors.troubled.is_empty()).then(|| {
-        let results = match store.about.has_model {
-            true => "estimates",
-            false => "natural frequencies",
-        };
+    let is_unused = |channel: &&String| !sensors.doubtful.contains(*channel);
+    let unused: Vec<&str> = sensors
+        .troubled
+        .iter()
+        .filter(is_unused)
+        .map(String::as_str)
+        .collect();
+    let results = match store.about.has_model {
+        true => "estimates",
+        false => "natural frequencies",
+    };
+    let unused = (!unused.is_empty()).then(|| {
         format!(
             "not used: {}; the {results} use the other sensors",
-            sensors.troubled.join(", ")
+            unused.join(", ")
         )
     });
+    let doubtful = (!sensors.doubtful.is_empty())
+        .then(|| format!("probably faulty: {}", sensors.doubtful.join(", ")));
+    let troubled: Vec<String> = [unused, doubtful].into_iter().flatten().collect();
+    let troubled = (!troubled.is_empty()).then(|| troubled.join("; "));
     // The report on the monitoring also covers channels that lose only some of their samples.
     let troubled = sensor_trouble(store)
         .filter(|_| !store.is_stale())

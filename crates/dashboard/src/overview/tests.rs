@@ -1,8 +1,9 @@
 use super::*;
 use crate::testing::{alert, at, demo, fit, hear, monitoring, name, present, undecided};
 use spandrel_bus::{
-    Estimate, EstimateBlock, EstimateFlags, Event, FitReason, Header, Pace, ParameterMonitoring,
-    Progress, Status, StreamState,
+    ChannelHealthDisplay, Estimate, EstimateBlock, EstimateFlags, Event, FaultKind, FitReason,
+    Header, Pace, ParameterMonitoring, Progress, SensorHealthDisplay, Soundness, Status,
+    StreamState,
 };
 use spandrel_listener::Input;
 
@@ -268,6 +269,37 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
     let all = "not used: floor-3; the estimates use the other sensors; the service alert is gone; \
                storey-2 is cleared; storey-3 is acknowledged; ";
     assert_eq!(overview(&store).sentence, format!("{all}{as_it_was}"));
+}
+
+/// The samples of a sensor in doubt are used. The sentence said that they are not.
+#[test]
+fn sensor_in_doubt_is_not_named_as_unused() {
+    let mut store = demo();
+    hear(&mut store, "storey-2", 1, 1.0, 0.0);
+    let health = |channel: &str, state: Soundness| {
+        Input::SensorHealth(SensorHealthDisplay {
+            structure: name("demo"),
+            node: name(channel),
+            time_ns: 1,
+            channels: vec![ChannelHealthDisplay {
+                channel: name(channel),
+                state,
+                probability: 0.9,
+                fault: Some(FaultKind::Gain),
+                gain: Some(0.8),
+                delay_s: Some(0.0),
+                coherence: Some(0.9),
+            }],
+        })
+    };
+    store.handle(health("ground", Soundness::InDoubt));
+    let found = overview(&store);
+    assert_eq!(found.sentence, "probably faulty: ground");
+    assert_eq!((found.sensors.alive, found.sensors.doubtful.len()), (1, 1));
+    assert_eq!(found.sensors.troubled, ["ground"]);
+    store.handle(health("floor-1", Soundness::Faulty));
+    let both = "not used: floor-1; the estimates use the other sensors; probably faulty: ground";
+    assert_eq!(overview(&store).sentence, both);
 }
 
 /// Four seconds of estimates in which the third channel was never used.
@@ -563,7 +595,7 @@ fn contradicted_fit_warns_also_where_no_rule_watches() {
 }
 
 #[test]
-fn softening_in_motion_is_a_notice_and_the_last_report_of_an_earthquake_is_shown_for_two_days() {
+fn softening_in_motion_is_a_notice_and_the_most_urgent_report_of_two_days_is_shown() {
     let mut store = demo();
     hear(&mut store, "storey-2", 1, 0.85, 1.0);
     let soft = alert("storey-2", 1, AlertState::SofteningInMotion);
@@ -590,7 +622,24 @@ fn softening_in_motion_is_a_notice_and_the_last_report_of_an_earthquake_is_shown
         (shown.urgency.as_str(), shown.result.as_str()),
         ("inspect first", "It shook. Look.")
     );
+    assert_eq!(shown.later, None);
+    // A weak aftershock does not hide that an inspector is needed.
+    store.handle(reported(60, "third", "earthquake report: no action"));
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!(
+        (shown.report.as_str(), shown.urgency.as_str()),
+        ("second", "inspect first")
+    );
+    let later = shown.later.unwrap();
+    assert_eq!(
+        (later.report.as_str(), later.urgency.as_str(), later.time_s),
+        ("third", "no action", 60.0)
+    );
     let after_ns = (2 * 86_400 + 2) * 1_000_000_000;
+    hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!((shown.report.as_str(), shown.later), ("third", None));
+    let after_ns = (2 * 86_400 + 61) * 1_000_000_000;
     hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
     assert_eq!(overview(&store).earthquake, None);
 }

@@ -253,7 +253,7 @@ pub fn accelerations(report: &EventReport, channels: &[Vec<f64>]) -> String {
         let label = format!("{}  peak {peak:.2} m/s²", sensor.figures.channel);
         svg.word("label", [LEFT + 6.0, top + 12.0], &label);
     }
-    svg.word("tick", [2.0, TOP - 5.0], "m/s²");
+    svg.word("tick", [2.0, TOP - 9.0], "m/s²");
     svg.seconds(&time, bottom);
     svg.finish()
 }
@@ -338,7 +338,7 @@ pub fn stiffness(report: &EventReport, parameter: &ParameterReport) -> String {
             "no window teaches anything",
         );
     }
-    svg.word("tick", [2.0, TOP - 5.0], "ratio");
+    svg.word("tick", [2.0, TOP - 9.0], "ratio");
     svg.seconds(&time, BOTTOM);
     svg.finish()
 }
@@ -430,7 +430,7 @@ pub fn events(report: &EventReport, parameter: &ParameterReport) -> String {
             escape(&label)
         );
     }
-    svg.word("tick", [2.0, TOP - 3.0], "ratio");
+    svg.word("tick", [2.0, TOP - 5.0], "ratio");
     svg.finish()
 }
 
@@ -466,7 +466,7 @@ pub fn spectra(report: &EventReport) -> String {
         svg.word("tick middle", [x, BOTTOM + 16.0], &format!("{tick}"));
     }
     svg.word("tick end", [RIGHT, BOTTOM + 30.0], "period (s)");
-    svg.word("tick", [2.0, TOP - 3.0], "m/s²");
+    svg.word("tick", [2.0, TOP - 5.0], "m/s²");
     let own = period.at(report.fundamental_hz.recip().ln());
     if (LEFT..RIGHT).contains(&own) {
         svg.line("own", [own, TOP], [own, BOTTOM]);
