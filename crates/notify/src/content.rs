@@ -196,17 +196,13 @@ impl Content {
 
     /// Returns the report in a line of a summary.
     pub(crate) fn line(&self) -> String {
+        let (time, sentence) = (iso_8601(self.time_ns()), self.sentence());
+        if matches!(self.report, Report::Earthquake(_)) {
+            return format!("{time} {sentence}"); // the sentence names the report
+        }
         let state = self.state().map_or("", NoticeState::as_str);
-        let what = match (self.part(), &self.report) {
-            (Some(part), _) => part.as_str(),
-            (None, Report::Earthquake(_)) => "earthquake",
-            (None, _) => "monitoring",
-        };
-        format!(
-            "{} {what} {state}: {}",
-            iso_8601(self.time_ns()),
-            self.sentence()
-        )
+        let what = self.part().map_or("monitoring", |part| part.as_str());
+        format!("{time} {what} {state}: {sentence}")
     }
 }
 
@@ -504,7 +500,7 @@ mod tests {
         );
         let line = content.line();
         assert!(
-            line.contains("earthquake earthquake-report: earthquake report: inspect first"),
+            line.contains("20Z earthquake report: inspect first"),
             "{line}"
         );
     }

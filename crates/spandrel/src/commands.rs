@@ -34,6 +34,15 @@ use spandrel_identify::Precedence;
 use std::io::Write;
 use std::path::Path;
 
+/// What was found if [`own_name`] returns no name.
+const NO_NAME: &str = "no name is given, and the variable USER has none";
+
+/// Returns the given name, or that of the variable `USER`. `None` if it is blank.
+fn own_name(given: Option<&str>) -> Option<String> {
+    let name = given.map_or_else(|| std::env::var("USER").unwrap_or_default(), str::to_owned);
+    (!name.trim().is_empty()).then_some(name)
+}
+
 /// Runs a subcommand.
 ///
 /// # Errors

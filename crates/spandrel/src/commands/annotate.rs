@@ -1,7 +1,7 @@
 //! `spandrel annotate`: notes what people know about a structure, for its judgement of lasting change.
 
-use super::print;
 use super::watch::joining_by_default;
+use super::{NO_NAME, own_name, print};
 use crate::cli::AnnotateArguments;
 use crate::error::AppError;
 use crate::role_check::{Need, Work, check};
@@ -87,12 +87,8 @@ fn annotation(arguments: &AnnotateArguments, now_ns: i64) -> Result<Annotation, 
         let allowed = "a time at or after the beginning (--from, or now)";
         return Err(invalid("--to", found(&arguments.to), allowed));
     }
-    let who = arguments.who.clone();
-    let who = who.unwrap_or_else(|| std::env::var("USER").unwrap_or_default());
-    if who.trim().is_empty() {
-        let found = "no name is given, and the variable USER has none".to_owned();
-        return Err(invalid("--who", found, "your name"));
-    }
+    let who = own_name(arguments.who.as_deref())
+        .ok_or_else(|| invalid("--who", NO_NAME.to_owned(), "your name"))?;
     let annotation = Annotation {
         structure: Name::new(&*arguments.structure)?,
         quantity: arguments.quantity.as_deref().map(Name::new).transpose()?,

@@ -1,7 +1,7 @@
 //! `spandrel maintenance`: mutes the notices of a structure for a time.
 
-use super::print;
 use super::watch::joining_by_default;
+use super::{NO_NAME, own_name, print};
 use crate::cli::MaintenanceArguments;
 use crate::error::AppError;
 use crate::role_check::{Need, Work, check};
@@ -82,14 +82,15 @@ fn request(arguments: &MaintenanceArguments, now_ns: i64) -> Result<Option<Maint
             until_ns.ok_or_else(|| invalid("--until", format!("{text:?}"), allowed))?
         }
     };
-    let who = arguments.who.clone();
+    let who = own_name(arguments.who.as_deref())
+        .ok_or_else(|| invalid("--who", NO_NAME.to_owned(), "your name"))?;
     let reason = arguments.reason.clone();
     let request = Maintenance {
         structure: Name::new(&*arguments.structure)?,
         parameter: arguments.parameter.as_deref().map(Name::new).transpose()?,
         time_ns: now_ns,
         until_ns,
-        who: who.unwrap_or_else(|| std::env::var("USER").unwrap_or_default()),
+        who,
         reason: reason.unwrap_or_else(|| "ended".to_owned()),
     };
     let allowed = "a reason that is not empty, and names without control characters";
@@ -150,8 +151,11 @@ mod tests {
     const NOW_NS: i64 = 1_795_220_273_000_000_000;
 
     fn of(options: &[&str]) -> Result<Option<Maintenance>, String> {
-        let arguments = ["spandrel", "maintenance", "bridge", "--who", "ada"];
-        let arguments = Arguments::try_parse_from(arguments.iter().chain(options));
+        let name = ["--who", "ada"]
+            .iter()
+            .filter(|_| !options.contains(&"--who"));
+        let arguments = ["spandrel", "maintenance", "bridge"].iter().chain(name);
+        let arguments = Arguments::try_parse_from(arguments.chain(options));
         let Command::Maintenance(arguments) = arguments.map_err(|error| error.to_string())?.command
         else {
             panic!("another command")
@@ -194,6 +198,9 @@ mod tests {
                 .contains("--reason")
         );
         assert!(of(&["--until", "1795220274", "--reason", ""]).is_err());
+        let blank = ["--until", "1795220274", "--reason", "paint", "--who", " "];
+        let error = of(&blank).unwrap_err();
+        assert!(error.contains("--who: no name is given"), "{error}");
         assert!(of(&["--end"]).unwrap().unwrap().is_end());
         assert_eq!(of(&[]), Ok(None));
     }
