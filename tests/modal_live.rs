@@ -4,8 +4,8 @@
 use crate::support::{DEADLINE, Process, Record, Site, spandrel, within};
 use serde_json::Value;
 use spandrel_bus::{
-    Event, EventKind, JudgementDisplay, ModeDisplay, ModeState, MonitoringDisplay, Name, Status,
-    Subscription,
+    Event, EventKind, JudgementDisplay, ModeDisplay, ModeState, MonitoringDisplay, Name,
+    ParameterDisplay, Status, Subscription,
 };
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -345,4 +345,93 @@ fn commands_that_need_a_model_name_the_kind_and_its_line() {
             .expect_code(2)
             .expect_told(&[&format!("nothing for {subcommand}")]);
     }
+}
+
+/// Length of the epochs (s) and of the record (s), and number of epochs, of which two are the
+/// commissioning.
+const UPDATE_EPOCH_S: u32 = 100;
+const UPDATE_RECORD_S: f64 = 510.0;
+const UPDATE_EPOCHS: usize = 5;
+
+/// Returns the site of the example whose modes update the stiffnesses, with short epochs.
+fn stiffness() -> Site {
+    let text = include_str!("../docs/examples/modes/stiffness.toml");
+    let epoch = format!("epoch-s = {UPDATE_EPOCH_S}");
+    let short = text
+        .replace("epoch-s = 300", &epoch)
+        .replace("commissioning-epochs = 6", "commissioning-epochs = 2")
+        .replace("at-s = 1850", "at-s = 350");
+    assert_eq!(short.matches(&epoch).count(), 1);
+    assert!(short.contains("commissioning-epochs = 2") && short.contains("at-s = 350"));
+    Site::with(&short)
+}
+
+/// Replays a record and returns the messages of each parameter, in order of time since the first
+/// epoch. Kills the service `modes` in the middle of the epochs after those of `kill_after`.
+async fn parameters(
+    site: &Site,
+    record: &Record,
+    kill_after: &[u64],
+) -> BTreeMap<(String, i64), ParameterDisplay> {
+    let ingest = Process::start(with_state(&mut site.listening("ingest"), site));
+    ingest.wait_for_log("ready structures=1");
+    let start = || {
+        let mut command = site.connecting("modes");
+        let process = Process::start(with_state(command.arg("--live"), site));
+        process.wait_for_log("ready structures=1");
+        process
+    };
+    let mut modes = start();
+    let bus = site.join().await;
+    let keys = site.keys();
+    let frequencies: Subscription<ModeDisplay> =
+        bus.subscribe(keys.all_modes(), 4096).await.unwrap();
+    let heard: Subscription<ParameterDisplay> =
+        bus.subscribe(keys.all_parameters(), 4096).await.unwrap();
+    let replay = site.replay(record, "40");
+    let first_ns = within("the first epoch", async {
+        let (_, display) = frequencies.messages().recv_async().await.unwrap();
+        display.time_ns
+    })
+    .await;
+    for epoch in kill_after {
+        within("the epoch before the kill", async {
+            while frequencies.messages().recv_async().await.unwrap().1.epochs < *epoch {}
+        })
+        .await;
+        // About 20 s of the next epoch.
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        modes.kill();
+        modes = start();
+    }
+    let names = site.structure().modal().unwrap().update.as_ref().unwrap();
+    let count = names.parts.len() * (UPDATE_EPOCHS - 2);
+    let mut found = BTreeMap::new();
+    within("the parameters of all epochs", async {
+        while found.len() < count {
+            let (_, display) = heard.messages().recv_async().await.unwrap();
+            let time_ns = display.time_ns - first_ns;
+            let key = (display.parameter.to_string(), time_ns);
+            let shifted = ParameterDisplay { time_ns, ..display };
+            let earlier = found.insert(key, shifted.clone());
+            assert!(earlier.is_none_or(|earlier| earlier == shifted));
+        }
+    })
+    .await;
+    replay.wait().expect_code(0);
+    modes.stop().expect_code(0);
+    ingest.stop().expect_code(0);
+    found
+}
+
+/// One kill is in the commissioning, and one after it.
+#[tokio::test(flavor = "multi_thread")]
+async fn stiffnesses_from_modes_are_the_same_after_two_kills() {
+    let site = stiffness();
+    let record = site.simulate(UPDATE_RECORD_S);
+    let uninterrupted = parameters(&site, &record, &[]).await;
+    let other = stiffness();
+    let interrupted = parameters(&other, &record, &[1, 3]).await;
+    assert_eq!(interrupted, uninterrupted);
+    assert!(uninterrupted.values().any(|display| display.std > 0.0));
 }

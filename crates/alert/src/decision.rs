@@ -21,8 +21,12 @@
 //! alert remains until a person acknowledges it. An alert that was acknowledged before becomes
 //! normal at once.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertState, EstimateFlags, Excluded, FitVerdict, Phase, UndecidedBecause};
+use spandrel_bus::{
+    AlertState, EstimateFlags, Excluded, FitReason, FitVerdict, Phase, UndecidedBecause,
+};
 
 use crate::{
     Alert, Learning, ParameterEstimate, Reference, Rule,
@@ -88,6 +92,9 @@ pub struct Decision {
     /// it: strong motion is then judged like any other.
     #[serde(skip)]
     strong_m_per_s2: Option<f64>,
+    /// Measured modes that contradict the model, in words. The comparison sets it.
+    #[serde(skip)]
+    contradicting_modes: Option<Arc<str>>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -191,6 +198,7 @@ impl Decision {
             sustained_std: None,
             changes_without: Vec::new(),
             strong_m_per_s2: None,
+            contradicting_modes: None,
         }
     }
 
@@ -199,6 +207,7 @@ impl Decision {
         self.sustained_std = None;
         self.changes_without.clear();
         self.strong_m_per_s2 = None;
+        self.contradicting_modes = None;
     }
 
     /// Sets the change of the estimate if a channel is left out, per observation row. `None` if it
@@ -369,6 +378,17 @@ impl Decision {
     /// `None` if it is not measured.
     pub(crate) fn set_sustained_std(&mut self, std: Option<f64>) {
         self.sustained_std = std;
+    }
+
+    /// Sets the measured modes that contradict the model, in words. `None` if none does.
+    pub(crate) fn set_contradicting_modes(&mut self, modes: Option<Arc<str>>) {
+        self.contradicting_modes = modes;
+    }
+
+    /// Returns `true` if measured modes contradicted the model at the last estimate.
+    pub(crate) fn was_contradicted_by_modes(&self) -> bool {
+        let last = self.last.as_ref();
+        last.is_some_and(|(_, flags)| flags.fit_reasons.contains(FitReason::NaturalFrequencies))
     }
 
     /// Returns whether a change of the parameter would be noticed at present. `None` before the

@@ -155,6 +155,9 @@ pub enum AlertError {
     /// A checkpoint cannot be written.
     #[error(transparent)]
     Checkpoint(#[from] spandrel_checkpoint::CheckpointError),
+    /// The matrices of the model do not fit each other.
+    #[error(transparent)]
+    Modal(#[from] spandrel_modal::ModalError),
     /// The bus rejected a declaration or is closed.
     #[error(transparent)]
     Bus(#[from] spandrel_bus::BusError),

@@ -30,6 +30,7 @@
 //! - [`alert`], `wording`: the content and the words of an alert
 //! - [`decision`]: the state machine of one parameter, without clock or network
 //! - [`watch`]: all parameters of one structure
+//! - `model_check`: whether the natural frequencies of the model agree with the measured ones
 //! - `monitoring`: whether the present data would reveal damage
 //! - [`shell`]: the connection to the bus
 //!
@@ -54,6 +55,7 @@ pub mod alert;
 mod wording;
 
 pub mod decision;
+mod model_check;
 mod monitoring;
 pub mod watch;
 

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, VecDeque};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Delivery, DisplayPublisher,
     EstimateBlock, Event, EventKind, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay,
-    MonitoringDisplay, MonitoringState, Name, ProgressPublisher, Question, Questions, Service,
-    Start, Status, Stream, Subscription,
+    ModeDisplay, MonitoringDisplay, MonitoringState, Name, ProgressPublisher, Question, Questions,
+    Service, Start, Status, Stream, Subscription,
 };
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
@@ -16,6 +16,7 @@ use tokio::time::Instant;
 use tracing::{debug, info, warn};
 
 use crate::memory::{AlertState as Remembered, Basis, Memory, note};
+use crate::model_check::{Agreement, ModelCheck};
 use crate::monitoring::Monitoring;
 use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 
@@ -24,6 +25,8 @@ use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 const ACKNOWLEDGEMENTS_WAITING: usize = 64;
 /// Capacity of the queue for status messages of ingest. Only the last one matters.
 const STATUSES_WAITING: usize = 4;
+/// Capacity of the queue for modes. An epoch has at most 64 of them, which are published again.
+const MODES_WAITING: usize = 256;
 /// Capacity of the queue for queries of the log.
 const QUESTIONS_WAITING: usize = 16;
 
@@ -61,6 +64,9 @@ pub struct AlertService {
     monitoring: Monitoring,
     monitoring_topic: DisplayPublisher<MonitoringDisplay>,
     ingest_statuses: Subscription<Status>,
+    /// The comparison with the declared modes, and their messages. `None` if there is no model or no
+    /// declared mode.
+    model_check: Option<(ModelCheck, Subscription<ModeDisplay>)>,
     events: EventPublisher,
     clock: Clock,
     /// Time of the last block of estimates, or of the start.
@@ -134,11 +140,21 @@ impl AlertService {
             let state = begin(structure, baseline.as_ref(), memory.as_mut())?;
             let Remembered {
                 basis,
-                watch,
+                mut watch,
                 unsent,
                 log,
                 last_time_ns,
             } = state;
+            let model_check = match ModelCheck::new(structure)? {
+                Some(mut check) => {
+                    if watch.was_contradicted_by_modes() {
+                        check.resume_contradicted();
+                        watch.set_contradicting_modes(check.contradicting());
+                    }
+                    Some((check, bus.subscribe(keys.all_modes(), MODES_WAITING).await?))
+                }
+                None => None,
+            };
             let start = match watch.position() {
                 Some((epoch, sequence)) => Start::At { epoch, sequence },
                 None => Start::Beginning,
@@ -196,6 +212,7 @@ impl AlertService {
                 ingest_statuses: bus
                     .subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING)
                     .await?,
+                model_check,
                 events: EventPublisher::declare(bus, keys).await?,
                 clock: *clock,
                 received_at: Instant::now(),
@@ -239,6 +256,7 @@ impl AlertService {
                     Some(question) = self.questions.next() => self.answer(&question).await?,
                     _ = status.tick() => {
                         self.look_at_the_memory();
+                        self.check_the_model().await?;
                         self.put_status().await?;
                         self.put_monitoring().await?;
                     }
@@ -357,6 +375,9 @@ impl AlertService {
             self.refuse("estimates-of-another-structure", &error);
         } else {
             self.monitoring.take(block);
+            if let Some((check, _)) = &mut self.model_check {
+                check.take_estimates(block);
+            }
             self.received_at = Instant::now();
         }
         self.done = block.end();
@@ -498,6 +519,40 @@ impl AlertService {
         if count.is_power_of_two() {
             warn!(structure = self.keys.structure().as_str(), %error, reason, count = *count, "estimates rejected");
         }
+    }
+
+    /// Compares the modes of an epoch with the model, and publishes an event if the result has changed.
+    async fn check_the_model(&mut self) -> Result<(), AlertError> {
+        let Some((check, modes)) = &mut self.model_check else {
+            return Ok(());
+        };
+        for (_, display) in modes.messages().try_iter() {
+            check.take_mode(display);
+        }
+        // The modes of a large model take longer than an async thread may be blocked.
+        let Some(change) = tokio::task::block_in_place(|| check.compare()) else {
+            return Ok(());
+        };
+        self.watch.set_contradicting_modes(check.contradicting());
+        let (kind, what) = match change.agreement {
+            Agreement::Contradicted => (
+                EventKind::ModelContradicted,
+                "measured modes contradict the model, so no alert is decided",
+            ),
+            Agreement::Agrees => (
+                EventKind::ModelAgrees,
+                "measured modes agree with the model again",
+            ),
+        };
+        let event = Event {
+            structure: self.keys.structure().clone(),
+            time_ns: change.time_ns,
+            kind,
+            subject: change.subject,
+            what: what.to_owned(),
+            why: change.why,
+        };
+        Ok(self.events.put(&event).await?)
     }
 
     /// Publishes the state of the monitoring, and an event if it has changed.

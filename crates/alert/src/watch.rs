@@ -1,9 +1,13 @@
 //! Watches all parameters of one structure: processes blocks of estimates and returns alerts.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertState, Decimation, Estimate, EstimateBlock, UndecidedBecause};
+use spandrel_bus::{
+    AlertState, Decimation, Estimate, EstimateBlock, EstimateFlags, FitReason, FitVerdict,
+    UndecidedBecause,
+};
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
@@ -19,6 +23,9 @@ pub struct Watch {
     decisions: Vec<Decision>,
     /// Epoch of the estimates and number of the next one.
     pub(crate) expected: Option<(u64, u64)>,
+    /// Whether measured modes contradict the model. It is set again after a restart.
+    #[serde(skip)]
+    is_contradicted_by_modes: bool,
 }
 
 impl Watch {
@@ -62,6 +69,7 @@ impl Watch {
             parameter_count,
             decisions,
             expected: None,
+            is_contradicted_by_modes: false,
         }
     }
 
@@ -126,6 +134,23 @@ impl Watch {
                 own.succeed(former, model, alerts);
             }
         }
+    }
+
+    /// Sets the measured modes that contradict the model, in words. No alert is decided until this is
+    /// `None` again.
+    pub(crate) fn set_contradicting_modes(&mut self, modes: Option<&str>) {
+        self.is_contradicted_by_modes = modes.is_some();
+        let modes: Option<Arc<str>> = modes.map(Arc::from);
+        for decision in &mut self.decisions {
+            decision.set_contradicting_modes(modes.clone());
+        }
+    }
+
+    /// Returns `true` if measured modes contradicted the model at the last estimate.
+    pub(crate) fn was_contradicted_by_modes(&self) -> bool {
+        self.decisions
+            .iter()
+            .any(Decision::was_contradicted_by_modes)
     }
 
     /// Processes a block of estimates and appends an alert for each change.
@@ -326,6 +351,10 @@ impl Watch {
         if estimate.flags.restarted {
             self.handle_all(&Input::Restart, alerts);
         }
+        let flags = match self.is_contradicted_by_modes {
+            true => contradicted_by_modes(estimate.flags),
+            false => estimate.flags,
+        };
         for decision in &mut self.decisions {
             let index = decision.subject().parameter;
             let (Some(mean), Some(variance)) = (estimate.mean.get(index), estimate.variance(index))
@@ -343,7 +372,7 @@ impl Watch {
                 information.map(|information| f64::from(*information).sqrt().recip()),
             );
             let of_parameter = decision.with_missing_sensor(of_parameter, estimate.excluded);
-            decision.handle(Input::Estimate(of_parameter, estimate.flags), alerts);
+            decision.handle(Input::Estimate(of_parameter, flags), alerts);
         }
     }
 
@@ -351,6 +380,15 @@ impl Watch {
         for decision in &mut self.decisions {
             decision.handle(input.clone(), alerts);
         }
+    }
+}
+
+/// Returns the flags of an estimate whose model measured modes contradict.
+fn contradicted_by_modes(flags: EstimateFlags) -> EstimateFlags {
+    EstimateFlags {
+        fit: Some(FitVerdict::Contradicted),
+        fit_reasons: flags.fit_reasons.with(FitReason::NaturalFrequencies),
+        ..flags
     }
 }
 

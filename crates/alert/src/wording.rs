@@ -13,6 +13,8 @@ pub(crate) struct Before<'a> {
     pub(crate) alert: Option<&'a Alert>,
     /// The strong motion from which the structure has not settled.
     pub(crate) shaking: Option<&'a Shaking>,
+    /// The modes that contradict the model, in words.
+    pub(crate) modes: Option<&'a str>,
 }
 
 /// Returns the decision in words. Ignores `alert.why`.
@@ -23,8 +25,9 @@ pub(crate) fn describe(
     before: Before<'_>,
 ) -> String {
     let Subject { name, quantity, .. } = subject;
+    let undecided = |because| undecided(because, alert, before.modes);
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
-        return format!("no decision on {name}: {}", undecided(because, alert));
+        return format!("no decision on {name}: {}", undecided(because));
     }
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
@@ -95,7 +98,7 @@ pub(crate) fn describe(
             match alert.undecided_because {
                 Some(because) => format!(
                     "{name} had lost {how_much}, {of_rule}{since}; not confirmed now: {}{seen}",
-                    undecided(because, alert)
+                    undecided(because)
                 ),
                 None => format!(
                     "{name} had an alert{since} that the data do not confirm: loss now {how_much}, \
@@ -113,10 +116,7 @@ pub(crate) fn describe(
         }
         AlertState::Cleared if alert.undecided_because.is_some() => format!(
             "the alert of {name} was cleared; no new decision: {}",
-            alert
-                .undecided_because
-                .map(|because| undecided(because, alert))
-                .unwrap_or_default()
+            alert.undecided_because.map(undecided).unwrap_or_default()
         ),
         AlertState::Cleared if found >= rule.clear_credibility() => format!(
             "a loss of more than {} in {name} was credible again, but for less than {}: loss \
@@ -156,10 +156,11 @@ fn in_motion(shaking: &Shaking) -> String {
 }
 
 /// Returns the reason why nothing is decided, including the reasons for a contradicted fit.
-fn undecided(because: UndecidedBecause, alert: &Alert) -> String {
+fn undecided(because: UndecidedBecause, alert: &Alert, modes: Option<&str>) -> String {
     match because {
         UndecidedBecause::FitContradicted => {
-            fit_in_words(FitVerdict::Contradicted, alert.fit_reasons)
+            let words = fit_in_words(FitVerdict::Contradicted, alert.fit_reasons);
+            modes.map_or_else(|| words.clone(), |modes| format!("{words} ({modes})"))
         }
         UndecidedBecause::NothingLearnt => nothing_learnt(because, alert),
         UndecidedBecause::NoiseTraining

@@ -10,9 +10,10 @@ use std::time::Duration;
 
 use spandrel_alert::{AlertPlan, AlertService};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, Estimate, EstimateBlock,
-    EstimateFlags, FitReason, FitVerdict, Header, HistoryLog, Keep, Keys, Name, NumberedPublisher,
-    NumberedStream, Service, Status, StreamState, Subscription, UndecidedBecause,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, DisplayPublisher, Estimate,
+    EstimateBlock, EstimateFlags, Event, EventKind, FitReason, FitVerdict, Header, HistoryLog,
+    Keep, Keys, ModeDisplay, ModeEstimate, ModeState, Name, NumberedPublisher, NumberedStream,
+    Service, ShapeValue, Status, StreamState, Subscription, UndecidedBecause,
 };
 use spandrel_checkpoint::Remembering;
 use spandrel_service::{Monitored, Service as _, ServiceInstance};
@@ -333,5 +334,137 @@ async fn alert_is_unconfirmed_and_counted_while_the_data_contradict_the_model() 
         (unconfirmed.mean - 0.86).abs() < 1e-12,
         "the estimate of a contradicted model is not told"
     );
+    running.end(bus).await;
+}
+
+/// Number of frames of an epoch of the modes, 100 s.
+const EPOCH_FRAMES: u64 = 10_000;
+
+/// Returns the tower with a second sensor, whose first mode is declared.
+fn with_a_mode() -> String {
+    let more = "
+[[node.channel]]
+name = \"top\"
+quantity = \"absolute-acceleration\"
+dof = \"floor-2\"
+unit = \"m/s2\"
+noise-std = 0.005
+
+[modal]
+epoch-s = 100
+band-hz = [0.3, 10]
+
+[[modal.mode]]
+name = \"sway-1\"
+frequency-hz = 1.0
+";
+    format!("{STRUCTURE}{more}")
+}
+
+/// Publishes the estimates of an epoch and the mode in it, and waits until the service has compared
+/// them: it does so before each status.
+async fn epoch(
+    number: u64,
+    frequency_hz: f64,
+    estimates: &NumberedPublisher<EstimateBlock>,
+    mode: &DisplayPublisher<ModeDisplay>,
+    statuses: &Subscription<Status>,
+) {
+    for first in (0..EPOCH_FRAMES).step_by(1000) {
+        let block = block((number - 1) * EPOCH_FRAMES + first, 1000, 1.0);
+        estimates.put(block).await.unwrap();
+    }
+    let golden = (1.0 + 5_f64.sqrt()) / 2.0; // of two equal storeys, the upper one moves so much more
+    let value = |channel: &str, value: f64| ShapeValue {
+        channel: channel.to_owned(),
+        value: [value, 0.0],
+        std: 0.01,
+    };
+    let display = ModeDisplay {
+        structure: Name::new("tower").unwrap(),
+        mode: Name::new("sway-1").unwrap(),
+        time_ns: (number * EPOCH_FRAMES * 10_000_000) as i64,
+        epoch_s: 100.0,
+        epochs: number,
+        state: ModeState::Tracked,
+        partner: None,
+        estimate: Some(ModeEstimate {
+            frequency_hz,
+            frequency_std_hz: 0.004,
+            damping: 0.02,
+            damping_std: 0.004,
+            shape: vec![value("roof", 1.0 / golden), value("top", 1.0)],
+            amplitude: 0.1,
+        }),
+        presence: 1.0,
+        machine: false,
+        declared_hz: 1.0,
+    };
+    mode.put(&display).await.unwrap();
+    let done = number * EPOCH_FRAMES;
+    let mut compared = 0;
+    while compared < 2 {
+        let received = timeout(DEADLINE, statuses.messages().recv_async()).await;
+        let (_, status) = received.unwrap().unwrap();
+        compared += u32::from(status.done >= done);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn measured_modes_that_contradict_the_model_leave_alerts_undecided_until_they_agree() {
+    let (bus, keys, estimates) = open("alert-test-modes").await;
+    let folder = tempfile::tempdir().unwrap();
+    let remembering = Remembering {
+        folder: folder.path().to_owned(),
+        every: Duration::from_secs(5),
+    };
+    let alerts = bus.subscribe(keys.all_alerts(), 100).await.unwrap();
+    let events: Subscription<Event> = bus.subscribe(keys.event(), 100).await.unwrap();
+    let statuses = bus
+        .subscribe(keys.statuses(Service::Alert), 100)
+        .await
+        .unwrap();
+    let mode = keys.mode(&Name::new("sway-1").unwrap());
+    let mode = bus.publish_display(mode).await.unwrap();
+    let next_event = async |kind: EventKind| loop {
+        let received = timeout(DEADLINE, events.messages().recv_async()).await;
+        let (_, event) = received.unwrap().unwrap();
+        if event.kind == kind {
+            return event;
+        }
+    };
+    let text = with_a_mode();
+    let running = Running::start_with(&bus, &keys, &text, Some(&remembering)).await;
+    for number in 1..=3 {
+        epoch(number, 1.25, &estimates, &mode, &statuses).await;
+    }
+    let event = next_event(EventKind::ModelContradicted).await;
+    assert_eq!(
+        (event.subject.as_str(), event.time_ns),
+        ("sway-1", 300_000_000_000)
+    );
+    let told = "mode sway-1 was measured at 1.2500 ± 0.0040 Hz, and the model has it at 1.0000 ± ";
+    assert!(event.why.starts_with(told), "{}", event.why);
+    assert_eq!(next(&alerts).await.state, AlertState::Normal);
+    estimates.put(block(30_000, 1000, 1.0)).await.unwrap();
+    let undecided = next(&alerts).await;
+    assert_eq!(undecided.state, AlertState::Undecided);
+    assert_eq!(
+        undecided.undecided_because,
+        Some(UndecidedBecause::FitContradicted)
+    );
+    assert!(undecided.why.contains(told), "{}", undecided.why);
+    running.stop().await;
+
+    let running = Running::start_with(&bus, &keys, &text, Some(&remembering)).await;
+    assert_eq!(next(&alerts).await, undecided, "from the checkpoint");
+    for first in (31_000..40_000).step_by(1000) {
+        estimates.put(block(first, 1000, 1.0)).await.unwrap();
+    }
+    epoch(5, 1.0, &estimates, &mode, &statuses).await;
+    let event = next_event(EventKind::ModelAgrees).await;
+    assert_eq!(event.subject, "tower");
+    estimates.put(block(50_000, 1000, 1.0)).await.unwrap();
+    assert_eq!(next(&alerts).await.state, AlertState::Normal);
     running.end(bus).await;
 }

@@ -346,6 +346,8 @@ impl Store {
                 | EventKind::ModeFound
                 | EventKind::ModePaired
                 | EventKind::ModeParted
+                | EventKind::ModelContradicted
+                | EventKind::ModelAgrees
                 | EventKind::Earthquake
                 | EventKind::EarthquakeReport
                 | EventKind::EarthquakeUnreported => false,

@@ -82,6 +82,6 @@ pub use tracking::{
     Tracker,
 };
 pub use updating::{
-    Entry, PartModel, SeenMode, StiffnessChange, StiffnessUpdate, UpdatePrecision, UpdateReference,
-    UpdateSettings, UpdateState,
+    Comparison, Entry, PartModel, SeenMode, StiffnessChange, StiffnessUpdate, UpdatePrecision,
+    UpdateReference, UpdateSettings, UpdateState,
 };

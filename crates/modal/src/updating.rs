@@ -8,14 +8,17 @@
 //! - `scatter`: how much sound epochs scatter
 //! - `reference`: what the commissioning tells
 //! - `change`: the change since then
+//! - `comparison`: whether the modes of a model agree with measured ones
 
 mod change;
+mod comparison;
 mod observation;
 mod part_model;
 mod reference;
 mod scatter;
 
 pub use change::{StiffnessChange, UpdatePrecision};
+pub use comparison::Comparison;
 pub use observation::SeenMode;
 pub use part_model::{Entry, PartModel};
 pub use reference::{UpdateReference, UpdateSettings};

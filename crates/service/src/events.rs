@@ -61,6 +61,7 @@ fn level(event: &Event) -> Level {
         | EventKind::ModeParted
         | EventKind::EarthquakeReport
         | EventKind::ModeProposed
+        | EventKind::ModelAgrees
         | EventKind::StateBack => Level::INFO,
         EventKind::Restart
         | EventKind::Takeover
@@ -79,6 +80,7 @@ fn level(event: &Event) -> Level {
         | EventKind::LastingChange
         | EventKind::ModeLost
         | EventKind::ModePaired
+        | EventKind::ModelContradicted
         | EventKind::Earthquake
         | EventKind::EarthquakeUnreported
         | EventKind::StateLost => Level::WARN,

@@ -124,7 +124,7 @@ impl ModalCheckPage {
             damping: DAMPING,
             bands: bands.collect(),
             can_tell: can_tell(structure, channels, &modes),
-            cannot_tell: cannot_tell(plan.update.as_ref()),
+            cannot_tell: cannot_tell(structure, plan.update.as_ref()),
             warnings: warnings(&modes),
             modes,
             parameters: Vec::new(),
@@ -208,7 +208,7 @@ fn unseen(parts: &[PartLine]) -> Option<String> {
     })
 }
 
-fn cannot_tell(update: Option<&UpdatePlan>) -> Vec<String> {
+fn cannot_tell(structure: &Structure, update: Option<&UpdatePlan>) -> Vec<String> {
     let of_parts = match update {
         None => [
             "which part of the structure has changed",
@@ -223,7 +223,33 @@ fn cannot_tell(update: Option<&UpdatePlan>) -> Vec<String> {
     };
     let mut all: Vec<String> = of_parts.iter().map(|text| (*text).to_owned()).collect();
     all.push("changes that last for less than an epoch".to_owned());
+    all.extend(without_decisions(structure));
     all
+}
+
+/// Returns the alert rules, which decide nothing, because they need the estimates of each frame.
+fn without_decisions(structure: &Structure) -> Option<String> {
+    let rules = structure.alert_rules();
+    let parameters = structure.parameters();
+    let watched = rules.iter().flat_map(|rule| &rule.parameters);
+    let mut watched: Vec<&str> = watched
+        .filter_map(|index| Some(parameters.get(*index)?.name()))
+        .collect();
+    watched.sort_unstable();
+    watched.dedup();
+    (!rules.is_empty()).then(|| {
+        format!(
+            "alerts: {} [[alert]] on {} {} nothing live, because no filter runs; [judge] judges \
+             lasting changes",
+            counted(rules.len(), "rule", "rules"),
+            watched.join(", "),
+            if rules.len() == 1 {
+                "decides"
+            } else {
+                "decide"
+            },
+        )
+    })
 }
 
 fn can_tell(structure: &Structure, channels: usize, modes: &[ModeLine]) -> Vec<String> {
@@ -429,5 +455,15 @@ mod tests {
             "{unjudged}"
         );
         assert!(!unjudged.json().contains("null"));
+    }
+
+    #[test]
+    fn rules_that_no_filter_serves_are_named() {
+        let updated = include_str!("../../../docs/examples/modes/stiffness.toml");
+        let text = page(updated).to_string();
+        let told = "cannot tell: alerts: 1 rule [[alert]] on storey-1, storey-2, storey-3, storey-4, \
+                    storey-5 decides nothing live, because no filter runs";
+        assert!(text.contains(told), "{text}");
+        assert!(!page(SENSORS_ONLY).to_string().contains("alerts:"));
     }
 }

@@ -1,7 +1,8 @@
 //! The model of a structure in the form that natural frequencies update.
 
+use crate::modal_plan::ModalPlan;
 use crate::node::{Channel, Quantity};
-use crate::parameter::Scales;
+use crate::parameter::{Parameter, Scales};
 use crate::structure::Structure;
 use nalgebra::DMatrix;
 use spandrel_modal::{Entry, ModalError, PartModel};
@@ -18,6 +19,26 @@ impl Structure {
     /// The mass matrix is not positive definite, which reading the file has excluded.
     pub fn part_model(&self) -> Option<Result<PartModel, ModalError>> {
         let plan = self.modal.as_ref().filter(|plan| plan.update.is_some())?;
+        Some(self.model_of_parts(plan))
+    }
+
+    /// Returns the same model to compare the estimates of the filter with the declared modes, if
+    /// these do not update it. `None` without a declared mode, with hysteretic springs, without a
+    /// stiffness parameter, and with a parameter that scales a mass.
+    ///
+    /// # Errors
+    /// As [`part_model`](Self::part_model).
+    pub fn compared_model(&self) -> Option<Result<PartModel, ModalError>> {
+        let plan = self.modal.as_ref().filter(|plan| plan.update.is_none())?;
+        let scales_mass = |parameter: &Parameter| matches!(parameter.scales, Scales::Mass(_));
+        let is_known = !plan.modes.is_empty()
+            && self.system.hysteresis.is_none()
+            && self.parameters.iter().any(Parameter::is_stiffness)
+            && !self.parameters.iter().any(scales_mass);
+        is_known.then(|| self.model_of_parts(plan))
+    }
+
+    fn model_of_parts(&self, plan: &ModalPlan) -> Result<PartModel, ModalError> {
         let len = self.system.len();
         let mut mass = self.system.mass.to_dense();
         let mut is_fixed = vec![true; self.system.substructures.len()];
@@ -69,12 +90,7 @@ impl Structure {
                 row[*dof] += coefficient;
             }
         }
-        Some(PartModel::new(
-            mass,
-            self.system.stiffness(&factors),
-            parts,
-            sensors,
-        ))
+        PartModel::new(mass, self.system.stiffness(&factors), parts, sensors)
     }
 
     /// Returns the damping ratio of the mode of the model that is nearest to a frequency (Hz).

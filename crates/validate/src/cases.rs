@@ -3,6 +3,7 @@
 use crate::error::ValidateError;
 use crate::fit;
 use crate::judging;
+use crate::modal;
 use crate::outcome::Outcome;
 use crate::robustness;
 use crate::run::Run;
@@ -267,7 +268,7 @@ static CASES: [Case; 29] = [
 /// Returns all cases.
 ///
 /// The published ones come first, in the order of their sources. The cases of robustness, of the
-/// example files and of lasting change follow.
+/// example files, of lasting change and of natural frequencies follow.
 #[must_use]
 pub fn cases() -> &'static [&'static Case] {
     static ALL: LazyLock<Vec<&'static Case>> = LazyLock::new(|| {
@@ -276,6 +277,7 @@ pub fn cases() -> &'static [&'static Case] {
             .chain(robustness::CASES)
             .chain(fit::CASES)
             .chain(judging::CASES)
+            .chain(modal::CASES)
             .collect()
     });
     &ALL

@@ -31,6 +31,9 @@ pub enum ValidateError {
     /// A simulated series could not be judged.
     #[error("the judgement stopped: {0}")]
     Judge(#[from] spandrel_judge::JudgeError),
+    /// A simulated epoch could not be identified.
+    #[error("the identification of modes stopped: {0}")]
+    Modal(#[from] spandrel_modal::ModalError),
     /// A real record has no result.
     #[error(transparent)]
     Records(#[from] crate::robustness::records::RecordsError),

@@ -20,6 +20,7 @@ mod figure;
 mod fit;
 mod judging;
 mod kept;
+mod modal;
 mod network;
 mod outcome;
 mod plan;

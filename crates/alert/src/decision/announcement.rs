@@ -86,6 +86,7 @@ impl Decision {
         let before = Before {
             alert: self.last_alert.as_ref(),
             shaking: shaking.as_ref(),
+            modes: self.contradicting_modes.as_deref(),
         };
         alert.why = describe(&self.subject, &self.rule, &alert, before);
         Some(alert)

@@ -44,6 +44,7 @@ impl From<Decision> for crate::Decision {
             sustained_std: None,
             changes_without: Vec::new(),
             strong_m_per_s2: None,
+            contradicting_modes: None,
         };
         // The filter that made those estimates does not continue. The present filter starts from
         // its prior.

@@ -493,3 +493,36 @@ fn nothing_is_decided_while_a_sensor_is_in_doubt() {
     let because = alerts.first().and_then(|alert| alert.undecided_because);
     assert_eq!(because, Some(UndecidedBecause::SensorInDoubt));
 }
+
+#[test]
+fn modes_that_contradict_the_model_leave_alerts_undecided_and_are_named() {
+    let mut watch = watch();
+    let lossy = || vec![estimate([0.8, 1.0], 0.01, Phase::Working); 200];
+    let modes = "mode sway-1 was measured at 1.2 Hz, and the model has it at 1 Hz";
+    watch.set_contradicting_modes(Some(modes));
+    let alerts = alerts_of(&mut watch, &block(1, 0, lossy()));
+    assert!(!alerts.is_empty());
+    for alert in &alerts {
+        assert_eq!(alert.state, AlertState::Undecided);
+        assert_eq!(
+            alert.undecided_because,
+            Some(UndecidedBecause::FitContradicted)
+        );
+        assert_eq!(alert.fit, Some(FitVerdict::Contradicted));
+        let told = format!(
+            "the data contradict the model: the natural frequencies of the model differ from the \
+             measured ones ({modes})"
+        );
+        assert!(alert.why.ends_with(&told), "{}", alert.why);
+    }
+    assert!(watch.was_contradicted_by_modes());
+    watch.set_contradicting_modes(None);
+    let alerts = alerts_of(&mut watch, &block(1, 200, lossy()));
+    assert!(
+        alerts
+            .iter()
+            .any(|alert| alert.state == AlertState::Raised && alert.parameter == 0),
+        "{alerts:?}"
+    );
+    assert!(!watch.was_contradicted_by_modes());
+}

@@ -107,8 +107,17 @@ impl Estimate {
     /// Returns the variance of parameter `index`, or `None` if the parameter does not exist.
     #[must_use]
     pub fn variance(&self, index: usize) -> Option<f64> {
-        // Column j of the upper triangle ends with its diagonal, at j(j+1)/2 + j.
-        self.covariance.get(index * (index + 3) / 2).copied()
+        self.covariance(index, index)
+    }
+
+    /// Returns the covariance of two parameters, or `None` if one of them does not exist.
+    #[must_use]
+    pub fn covariance(&self, first: usize, second: usize) -> Option<f64> {
+        // Column j of the upper triangle starts at j(j+1)/2.
+        let (row, column) = (first.min(second), first.max(second));
+        self.covariance
+            .get(column * (column + 1) / 2 + row)
+            .copied()
     }
 }
 

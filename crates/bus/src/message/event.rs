@@ -72,6 +72,10 @@ pub enum EventKind {
     ModePaired,
     /// Two such modes can be told apart again.
     ModeParted,
+    /// The natural frequencies of the model contradict the measured ones.
+    ModelContradicted,
+    /// They agree again.
+    ModelAgrees,
     /// The clock of a node has moved against those of the other nodes, but its samples are used.
     ClockMoved,
     /// Strong motion has begun. A report follows.

@@ -67,11 +67,13 @@ pub enum FitReason {
     WanderingParameters,
     /// The innovations follow the measured excitation.
     ExcitationInInnovations,
+    /// The natural frequencies of the model differ from the measured ones.
+    NaturalFrequencies,
 }
 
 impl FitReason {
     /// All reasons, in the order in which they are reported.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::InnovationBurst,
         Self::ParameterAtBound,
         Self::FarFromPrior,
@@ -80,6 +82,7 @@ impl FitReason {
         Self::CorrelatedInnovations,
         Self::WanderingParameters,
         Self::ExcitationInInnovations,
+        Self::NaturalFrequencies,
     ];
 
     /// Returns the name of the reason, as in the message.
@@ -94,6 +97,7 @@ impl FitReason {
             Self::CorrelatedInnovations => "correlated-innovations",
             Self::WanderingParameters => "wandering-parameters",
             Self::ExcitationInInnovations => "excitation-in-innovations",
+            Self::NaturalFrequencies => "natural-frequencies",
         }
     }
 
@@ -111,6 +115,9 @@ impl FitReason {
                 "the corrections of a parameter keep their sign for too long"
             }
             Self::ExcitationInInnovations => "the innovations follow the measured excitation",
+            Self::NaturalFrequencies => {
+                "the natural frequencies of the model differ from the measured ones"
+            }
         }
     }
 
@@ -129,7 +136,19 @@ impl FitReasons {
     pub fn iter(self) -> impl Iterator<Item = FitReason> {
         FitReason::ALL
             .into_iter()
-            .filter(move |reason| self.0 & reason.bit() != 0)
+            .filter(move |reason| self.contains(*reason))
+    }
+
+    /// Returns `true` if `reason` is one of the reasons.
+    #[must_use]
+    pub fn contains(self, reason: FitReason) -> bool {
+        self.0 & reason.bit() != 0
+    }
+
+    /// Returns the reasons together with another one.
+    #[must_use]
+    pub fn with(self, reason: FitReason) -> Self {
+        Self(self.0 | reason.bit())
     }
 
     /// Returns `true` if there is no reason.

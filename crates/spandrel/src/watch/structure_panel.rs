@@ -42,7 +42,9 @@ pub struct StructurePanel {
     pub title: Line<'static>,
     /// Measurement time at the right of the title, or a note that the data is stale.
     pub time: Line<'static>,
-    header: Line<'static>,
+    /// Names of the columns. `None` for a structure without parameters, whose natural frequencies
+    /// are followed.
+    header: Option<Line<'static>>,
     rows: Vec<Line<'static>>,
     /// Noise levels, model classes, services and distributed nodes.
     footer: Vec<Line<'static>>,
@@ -92,7 +94,8 @@ impl StructurePanel {
         Self {
             title: title(name, structure),
             time: time_of(structure),
-            header: header(axis, columns, &losses),
+            header: (!parameters.is_empty() || !structure.has_only_modes())
+                .then(|| header(axis, columns, &losses)),
             rows: rows.collect(),
             footer: footer(heard, name, structure, width),
             nothing_measured: Line::from(if !structure.noise.is_empty() {
@@ -107,7 +110,7 @@ impl StructurePanel {
 
     /// Returns the preferred number of lines, without borders.
     pub fn len(&self) -> usize {
-        1 + self.rows.len() + self.footer.len()
+        1 + self.rows.len() + self.footer.len() // the header, or the text instead of it
     }
 
     /// Returns the lines that fit into `height`. If not all rows fit, it starts with row `first`.
@@ -122,7 +125,7 @@ impl StructurePanel {
         // In a small window, parameters have precedence over services.
         footer.truncate(height.saturating_sub(1 + rows.len().min(ROWS_AT_LEAST)));
         let room = height.saturating_sub(1 + footer.len());
-        let mut lines = vec![header];
+        let mut lines: Vec<Line<'static>> = header.into_iter().collect();
         if rows.is_empty() {
             lines.push(nothing_measured.style(Modifier::DIM));
         } else if rows.len() <= room {

@@ -1,6 +1,6 @@
 use super::super::heard::Heard;
 use super::super::testing::{
-    alert, at, damaged_tower, heard, loss, name, node, parameter, present, status,
+    alert, at, damaged_tower, heard, loss, name, node, parameter, present, progress, status,
 };
 use super::super::view::Around;
 use super::*;
@@ -397,4 +397,15 @@ fn each_local_filter_has_a_line_and_faulty_nodes_are_first() {
         [excluded, silent, alive],
         [counts + 1, counts + 2, counts + 3]
     );
+}
+
+#[test]
+fn structure_without_a_model_has_no_columns_of_parameters() {
+    let services = [(Service::Ingest, "a"), (Service::Modes, "a")];
+    let frames = Input::Ingested(name("tower"), progress(7, 60));
+    let rows = rows(&view(heard([present(&services), frames])), (80, 24));
+    row_with(&rows, "no model: natural frequencies only");
+    for word in ["parameter", "mean ± std", "P(loss)"] {
+        assert!(!rows.iter().any(|row| row.contains(word)), "{rows:#?}");
+    }
 }
