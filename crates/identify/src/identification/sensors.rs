@@ -79,6 +79,11 @@ impl Identification {
         let unpredicted = values.iter().map(|value| Sample::unpredicted(*value));
         let mut samples: Vec<Sample> = unpredicted.collect();
         for (screen, channel) in outliers.channels().iter().zip(&self.observation_channels) {
+            if screen.scale() == 0.0 {
+                // The screening recognises no spikes before its first training.
+                samples[*channel] = Sample::unpredicted(f64::NAN);
+                continue;
+            }
             samples[*channel].residual = screen.residual();
             // Spikes are rare. A channel with more rejected samples has another cause.
             samples[*channel].is_rejected =

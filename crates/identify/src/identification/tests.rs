@@ -716,6 +716,33 @@ fn faulty_sensor_is_named_and_excluded_and_identification_restarts() {
     assert!((last.mean[0] - 1.0).abs() < 0.1, "{:?}", last.mean);
 }
 
+/// The screening rejects the samples of a sensor before the comparison names its fault.
+#[test]
+fn filter_continues_if_the_screening_has_already_rejected_a_faulty_sensor() {
+    let (structure, mut block) = of_text(
+        |text| text.replace("[filter]", "[outliers]\n\n[filter]"),
+        12_000,
+    );
+    for values in block.values.chunks_mut(6).skip(5_000) {
+        values[3] *= -1.0;
+    }
+    let outputs = identified(&structure, block);
+    let excluded: Vec<&Event> = events(&outputs)
+        .into_iter()
+        .filter(|event| event.kind == EventKind::ChannelExcluded)
+        .collect();
+    let [screened, compared] = excluded[..] else {
+        panic!("{excluded:?}")
+    };
+    assert_eq!(screened.subject, compared.subject);
+    let found_by = "below the first natural frequency";
+    assert!(compared.why.starts_with(found_by), "{compared:?}");
+    let all = estimates(&outputs);
+    assert!(all.iter().all(|estimate| !estimate.flags.restarted));
+    let last = all.last().unwrap();
+    assert_eq!((last.excluded, last.used_channels), (Excluded::One(2), 4));
+}
+
 #[test]
 fn restart_while_the_motion_settles_changes_no_bit() {
     let structure = structure();
