@@ -227,7 +227,8 @@ mod tests {
                     used.insert(key);
                 }
             }
-            for rest in asset.content.split("data-words=\"").skip(1) {
+            let by_helpers = asset.content.split("data-words=\"").skip(1);
+            for rest in by_helpers.chain(asset.content.split("told(\"").skip(1)) {
                 let key = rest.split('"').next().unwrap();
                 assert!(english.contains_key(key), "{}: {key}", asset.path);
                 used.insert(key);
