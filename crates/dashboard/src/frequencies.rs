@@ -40,7 +40,7 @@ pub(crate) fn attention(store: &Store) -> (Level, String) {
     (level, sentence.to_owned())
 }
 
-/// Returns the lasting changes, of which alerts say nothing. Without a model, also the natural
+/// Returns the lasting changes that alerts do not report. Without a model, also the natural
 /// frequencies that are lost.
 pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
     let changed = store.state.judgements.values();

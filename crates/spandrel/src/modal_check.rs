@@ -1,5 +1,7 @@
-//! Report of a check of a structure without a model, or whose model natural frequencies update, as
-//! text for people and as JSON: what its natural frequencies can tell, and what they cannot.
+//! Report of a check: what the natural frequencies of a structure can tell, and what they cannot.
+//!
+//! The structure has no model, or the natural frequencies update its model. The report is text for
+//! people, or JSON.
 //!
 //! The JSON object has the following fields:
 //!

@@ -5,7 +5,7 @@ use std::path::Path;
 const EPOCH_S: i64 = 300;
 const S: i64 = 1_000_000_000;
 
-/// Returns the example without a measured excitation, of which three modes are declared.
+/// Returns the example without a measured excitation. Three of its modes are declared.
 fn structure() -> Structure {
     let text = include_str!("../../../../docs/examples/output-only.toml");
     let modal = "
