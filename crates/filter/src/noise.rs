@@ -508,6 +508,11 @@ impl NoiseState {
             mean: 1.0,
             steps: 0,
         };
+        self.forget_levels(model);
+    }
+
+    /// Gives the levels the relative uncertainty of the start, so that they can move fast.
+    pub(crate) fn forget_levels(&mut self, model: &NoiseModel) {
         self.covariance.fill(0.0);
         for (l, parameter) in model.parameters.iter().enumerate() {
             let std = self.mean[l] * parameter.start_std / parameter.start;

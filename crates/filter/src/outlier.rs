@@ -391,6 +391,15 @@ impl OutlierState {
         self.common.began()
     }
 
+    /// Returns `true` if the training of a channel ended with the last step and it contains
+    /// outliers.
+    pub(crate) fn trained_with_outliers(&self, settings: &OutlierSettings) -> bool {
+        self.channels.iter().any(|channel| {
+            channel.change == Some(OutlierChange::Trained)
+                && channel.recent.largest() > settings.upper * channel.scale
+        })
+    }
+
     /// Restarts the training of all channels, because residuals are large for some time after a
     /// reset of the motion.
     pub(crate) fn retrain(&mut self) {
@@ -480,8 +489,10 @@ impl OutlierState {
             let count = settings.training_steps;
             let scale = channel.recent.percentile(ONE_SIGMA, count, sorted);
             channel.rescale(scale.max(LEAST_SCALE * variance.max(0.0).sqrt()));
-            channel.trained = true;
-            channel.change = Some(OutlierChange::Trained);
+            if !channel.trained {
+                channel.trained = true;
+                channel.change = Some(OutlierChange::Trained);
+            }
         }
     }
 

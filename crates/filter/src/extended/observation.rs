@@ -156,6 +156,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             work,
             ..
         } = self;
+        if let (Some(outlier_settings), Some(outliers)) = (&settings.outliers, &state.outliers)
+            && settings.noise_settings.rule == NoiseRule::Fisher
+            && outliers.trained_with_outliers(outlier_settings)
+        {
+            // A few wrong samples can have raised the levels thirtyfold. With the information of
+            // these samples, the levels would fall only over a half-life.
+            state.noise.forget_levels(&settings.noise);
+        }
         if state.fresh && frame.observations.iter().all(|datum| datum.is_nan()) {
             // The prior applies to the time of this frame, so no information has faded.
             return NoiseEvents::default();

@@ -714,6 +714,36 @@ fn spike_is_rejected_and_a_frame_of_spikes_is_a_prediction() {
 }
 
 #[test]
+fn wrong_samples_before_the_screening_raise_the_noise_level_only_for_seconds() {
+    let mut settings = screened(3.5);
+    with_unknown_sensors(&mut settings, NoiseRule::Fisher);
+    if let Some(outliers) = &mut settings.outliers {
+        outliers.training = OutlierTraining::Raw;
+    }
+    let level_after = |frames: usize, is_wrong: &dyn Fn(usize) -> bool| {
+        let mut filter = ExtendedKalmanFilter::new(two_oscillators(), settings.clone()).unwrap();
+        for k in 0..frames {
+            let mut data = datum(k);
+            if is_wrong(k) {
+                data.iter_mut().for_each(|sample| *sample += 1.0);
+            }
+            filter
+                .step(Frame {
+                    observations: &data,
+                    excitation: &[0.0],
+                })
+                .unwrap();
+        }
+        filter.noise().mean[0]
+    };
+    let seldom = |k: usize| k % 20 == 7;
+    let (right, raised) = (level_after(190, &|_| false), level_after(190, &seldom));
+    assert!(raised > 30.0 * right, "{raised:e} against {right:e}");
+    let (right, fallen) = (level_after(600, &|_| false), level_after(600, &seldom));
+    assert!(fallen < 10.0 * right, "{fallen:e} against {right:e}");
+}
+
+#[test]
 fn screened_filter_resumes_bit_for_bit() {
     for stop in [1, 150, 199, 200, 201, 450] {
         let mut unbroken = ExtendedKalmanFilter::new(two_oscillators(), screened(3.5)).unwrap();

@@ -108,6 +108,13 @@ impl Recent {
         self.rejected as f64 / self.ring.len().max(1) as f64
     }
 
+    /// Returns the largest residual, or 0 if none are stored.
+    pub(super) fn largest(&self) -> f64 {
+        self.ring
+            .iter()
+            .fold(0.0, |largest, (residual, _)| residual.max(largest))
+    }
+
     /// Returns the residual that the given share of the latest `count` residuals does not exceed,
     /// or 0 if none are stored.
     pub(super) fn percentile(&self, share: f64, count: usize, sorted: &mut Vec<f64>) -> f64 {
