@@ -835,7 +835,7 @@ async fn notice_of_an_alert_in_an_earthquake_links_to_the_report() {
         time_ns: 100_000_000_000,
         kind: EventKind::Earthquake,
         subject: "1970-01-01t00-01-10z".to_owned(),
-        what: "strong motion".to_owned(),
+        what: "earthquake begins".to_owned(),
         why: "a report follows".to_owned(),
     };
     events.put(&quake).await.unwrap();

@@ -150,8 +150,9 @@ async fn events_of_an_earthquake_have_a_name_a_level_and_a_button() {
         const event = (second, kind, what, why) => ({ time_ns: 1.6e18 + second * 1e9, kind, subject: 'quake', what, why });
         tab.update({ changes: [], events: [
           event(2, 'earthquake-report', 'earthquake report: inspect first', `It shook. ${path}`),
-          event(1, 'earthquake', 'strong motion', `a report follows: ${path}`),
+          event(1, 'earthquake', 'earthquake begins', `a report follows: ${path}`),
           event(0, 'note', 'something else', 'see the manual'),
+          event(-1, 'monitoring', 'the monitoring changed from blind to watching', 'all is seen'),
         ] });
         return [...tab.rows.children].map((row) => [row.dataset.level, row.children[1].textContent, row.querySelector('.why').textContent, [...row.querySelectorAll('.button')].map((button) => button.getAttribute('href').split('?')[0])]);
       })()";
@@ -173,6 +174,7 @@ async fn events_of_an_earthquake_have_a_name_a_level_and_a_button() {
         json!(["learning", "earthquake", "a report follows"])
     );
     assert_eq!(words(2), json!(["learning", "quake", "see the manual"]));
+    assert_eq!(words(3), json!(["learning", "Monitoring", "all is seen"]));
 }
 
 /// Regression test: normal parts filled the page of alerts. A filter still shows them.

@@ -259,7 +259,7 @@ async fn a_hundred_structures_are_short_cards_that_can_be_searched() {
         let show = null;
         const page = new OverviewPage({ listen() {}, on: (_, listener) => { show = listener; return () => {}; } });
         document.getElementById('main').replaceChildren(page.element);
-        show({ structures: Array.from({ length: 100 }, (_, index) => ({ ...one, name: `bridge-${index + 1}` })) });
+        show({ structures: Array.from({ length: 100 }, (_, index) => ({ ...one, name: `bridge-${index + 1}`, level: 'undecided' })) });
         const search = document.querySelector('.overview .search');
         search.value = 'bridge-10';
         search.dispatchEvent(new Event('input'));
@@ -270,6 +270,14 @@ async fn a_hundred_structures_are_short_cards_that_can_be_searched() {
         json!(["bridge-10", "bridge-100"])
     );
     browser.screenshot("many-structures").await;
+    // Regression test: the line of the last day fell below the name, and left a gap beside it.
+    browser.resize(390, 844).await;
+    let fallen = "[...document.querySelectorAll('.is-many .card-head')].filter((head) => {
+        const trend = head.querySelector('.trend');
+        trend.hidden = false;
+        return trend.getBoundingClientRect().top > head.querySelector('.badge').getBoundingClientRect().bottom;
+      }).length";
+    assert_eq!(browser.evaluate(fallen).await, 0);
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 

@@ -458,8 +458,12 @@ impl Decision {
     /// can begin or end.
     fn soften(&mut self, estimate: &ParameterEstimate, probability: f64) {
         self.interrupt();
-        self.motion
-            .soften(estimate, probability >= self.rule.credibility());
+        // As for a raised alert, a lower probability ends the state than begins it.
+        let required = match self.motion.softening_since_ns() {
+            None => self.rule.credibility(),
+            Some(_) => self.rule.clear_credibility(),
+        };
+        self.motion.soften(estimate, probability >= required);
     }
 
     /// Stops decisions: the sustain time starts again, and a raised alert needs confirmation.

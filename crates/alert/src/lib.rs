@@ -25,7 +25,7 @@
 //! - [`credibility`], `scatter`: the probability of a loss, also if few records determine the
 //!   scatter
 //! - [`support`]: whether the data support a decision
-//! - `motion`: strong motion, in which a loss is no damage
+//! - `motion`: strong motion, in which a loss alone shows no damage
 //! - [`learning`], [`baseline`]: the sound value, learnt from a time span or from several records
 //! - [`alert`], `wording`: the content and the words of an alert
 //! - [`decision`]: the state machine of one parameter, without clock or network

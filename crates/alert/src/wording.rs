@@ -1,7 +1,9 @@
 //! Describes an alert in words: parameter, loss, probability and start.
 
 use jiff::Timestamp;
-use spandrel_bus::{AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words};
+use spandrel_bus::{
+    AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words, per_cent,
+};
 
 use crate::motion::Shaking;
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
@@ -83,8 +85,8 @@ pub(crate) fn describe(
             }
         ),
         AlertState::SofteningInMotion => format!(
-            "{name} is softer by {how_much}, {of_rule}{since}, {}; this is no damage, and a lasting \
-             loss is judged from weak motion, 5 minutes after the strong motion",
+            "{name} is softer by {how_much}, {of_rule}{since}, {}; this alone shows no damage; a \
+             lasting loss is judged from weak motion, 5 minutes after the strong motion",
             before
                 .shaking
                 .map_or_else(|| "in strong motion".to_owned(), in_motion)
@@ -303,15 +305,6 @@ fn percent(share: f64) -> String {
     format!("{} %", per_cent(share))
 }
 
-fn per_cent(share: f64) -> String {
-    let text = format!("{:.1}", share * 100.0);
-    match text.strip_suffix(".0") {
-        Some("-0") => "0".to_owned(),
-        Some(whole) => whole.to_owned(),
-        None => text,
-    }
-}
-
 /// Returns the interval of the loss, and the interval within this record if the reference has an
 /// estimated scatter.
 fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
@@ -365,14 +358,6 @@ mod tests {
     #[test]
     fn required_credibility_is_not_rounded() {
         assert_eq!([0.99, 0.5, 0.9999].map(asked), ["0.990", "0.500", "0.9999"]);
-    }
-
-    #[test]
-    fn whole_percentages_have_no_decimals() {
-        assert_eq!(percent(0.05), "5 %");
-        assert_eq!(percent(0.142), "14.2 %");
-        assert_eq!(percent(-0.000_1), "0 %");
-        assert_eq!(percent(-0.021), "-2.1 %");
     }
 
     #[test]

@@ -92,7 +92,7 @@ class AlertList {
     this.urgent = h("ul", { class: className });
     this.routine = h("ul", { class: className });
     this.title = h("summary");
-    this.folded = h("details", { class: "routine" }, this.title, this.routine);
+    this.folded = h("details", { class: "routine", hidden: true }, this.title, this.routine);
   }
 
   get elements() {

@@ -31,7 +31,9 @@ export class EventsTab {
       const level = (isReport && URGENCIES[what.split(": ")[1]]) || "learning";
       // A button leads to the report, so the sentence needs no address at its end.
       const isOfQuake = why.endsWith(path);
-      return { key: `${subject}/${what}`, time_ns, about: isOfQuake ? t("earthquake") : subject, what, why: isOfQuake ? why.slice(0, -path.length).trimEnd().replace(/:$/, "") : why, level, parameter: null, report: isReport ? subject : null };
+      // The subject of an event of the monitoring is its state, which is no name.
+      const about = isOfQuake ? t("earthquake") : kind === "monitoring" ? t("monitoring") : subject;
+      return { key: `${subject}/${what}`, time_ns, about, what, why: isOfQuake ? why.slice(0, -path.length).trimEnd().replace(/:$/, "") : why, level, parameter: null, report: isReport ? subject : null };
     };
     const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
     this.none.hidden = all.length > 0;

@@ -61,8 +61,8 @@ export class Plot {
    * - `series`, `bands`: series and bands of uPlot
    * - `rows(columns by name)`: returns the data of uPlot
    * - `readout(data, index)`: returns a text
-   * - `marks()`: returns lines { y, text, colour } or { x, text, colour }, the most important
-   *   labels first
+   * - `marks()`: returns lines { y, text, colour, isBelow } or { x, text, colour }, the most important
+   *   labels first. `isBelow`: the label is below its line, because most values are above
    * - `range`: range of the y axis, if it is fixed
    * - `legend`: list of { name, colour } with a `dash` of a line, or a `shape` of points
    * - `paint(uPlot)`: draws what uPlot does not draw, such as points of several shapes
@@ -357,8 +357,8 @@ export class Plot {
       if (y < bbox.top || y > bottom) continue;
       const colour = css(mark.colour ?? "--ink-soft");
       line(colour, [6, 4], [left, y], [right, y]);
-      const isHigh = y < bbox.top + 16 * size;
-      texts.push([mark.text, left + 6 * size, isHigh ? y + 15 * size : y - 5 * size, colour]);
+      const isBelow = mark.isBelow ? y < bottom - 16 * size : y < bbox.top + 16 * size;
+      texts.push([mark.text, left + 6 * size, isBelow ? y + 15 * size : y - 5 * size, colour]);
     }
     // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);

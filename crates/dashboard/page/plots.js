@@ -43,7 +43,7 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
   const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name);
   const marks = () => {
     const loss = known();
-    const bound = loss && parameter.stiffness ? [{ y: threshold(), text: t("threshold-lost", percent(loss.rule_loss, 0)), colour: "--alarm" }] : [];
+    const bound = loss && parameter.stiffness ? [{ y: threshold(), text: t("threshold-lost", percent(loss.rule_loss, 0)), colour: "--alarm", isBelow: true }] : [];
     const told = changes().toSorted((a, b) => WORDS_FIRST.indexOf(a.state) - WORDS_FIRST.indexOf(b.state));
     return [...bound, ...told.map((change) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
   };

@@ -8,6 +8,8 @@ use spandrel_bus::{
     AlertMessage, AlertState, Event, EventKind, FitVerdict, MonitoringDisplay, MonitoringState,
     ReportPage, Service, Standing, UndecidedBecause,
 };
+use spandrel_earthquake::Urgency;
+use spandrel_earthquake::urgency::{Dated, ranking};
 use spandrel_structure::Coordinates;
 use std::time::Duration;
 
@@ -124,26 +126,18 @@ pub(crate) struct EarthquakeReported {
     pub(crate) later: Option<Box<EarthquakeReported>>,
 }
 
-/// Time for which the overview shows a report (ns of measurement time). The last usual report of an
-/// earthquake follows after a day.
-const REPORTED_NS: i64 = 2 * 86_400_000_000_000;
-
-/// Words of a report for how soon an inspector is needed, the most urgent first.
-const URGENCIES: [&str; 4] = ["inspect first", "inspect", "watch", "no action"];
-
-/// Returns the most urgent report, and the newest one. A small aftershock needs no action by itself,
-/// which must not hide that an inspector is needed since the strong motion before.
+/// Returns the report that ranks the structure, and the newest one.
 fn earthquake(store: &Store) -> Option<EarthquakeReported> {
-    let newest_ns = store.state.time_ns.unwrap_or(i64::MIN);
-    let is_recent = |event: &&Event| newest_ns.saturating_sub(event.time_ns) <= REPORTED_NS;
-    let events = store.events.iter().filter(is_recent);
+    let events = store.events.iter(); // the newest first
     let reports: Vec<EarthquakeReported> =
         events.filter_map(|event| reported(store, event)).collect();
-    let rank = |report: &EarthquakeReported| URGENCIES.iter().position(|of| *of == report.urgency);
-    // The events begin with the newest one, and the first of equal reports is the minimum.
-    let urgent = reports
-        .iter()
-        .min_by_key(|report| rank(report).unwrap_or(URGENCIES.len()))?;
+    let dated = |report: &EarthquakeReported| Dated {
+        time_s: report.time_s,
+        rank: Urgency::of_words(&report.urgency).map_or(u8::MAX, Urgency::rank),
+    };
+    let until_s = store.state.time_ns.map_or(f64::MIN, |ns| ns as f64 / 1e9);
+    let all: Vec<Dated> = reports.iter().map(dated).collect();
+    let urgent = reports.get(ranking(&all, until_s)?)?;
     let newest = reports.first().filter(|newest| *newest != urgent);
     Some(EarthquakeReported {
         later: newest.cloned().map(Box::new),

@@ -34,6 +34,7 @@
 //! - [`between`]: the scatter between events
 //! - [`amplitude`]: softening expected at an amplitude
 //! - [`sequence`]: the judgement of one event after the other
+//! - [`urgency`]: how soon an inspector is needed, and which report of a structure says so
 //!
 //! This crate has no clock, no bus, no log and no I/O. For slow changes under temperatures, without
 //! earthquakes, use `spandrel-judge`.
@@ -52,6 +53,7 @@ pub mod phase;
 pub mod amplitude;
 pub mod between;
 pub mod sequence;
+pub mod urgency;
 
 pub use amplitude::{Expected, Softened};
 pub use between::{Coverage, EventValue, Interval, Pooled, leave_one_out};
@@ -68,3 +70,4 @@ pub use sequence::{
     Candidate, EventJudgement, JudgeSettings, LastingLoss, Reference, ReferenceKind, Sequence,
     Softening, Waiting, WeakState,
 };
+pub use urgency::Urgency;

@@ -23,7 +23,7 @@ pub enum NoticeState {
     Undecided,
     /// The alert is open, but the present data do not support a decision.
     Unconfirmed,
-    /// A loss is credible in strong motion, which is no damage.
+    /// A loss is credible in strong motion, which alone shows no damage.
     SofteningInMotion,
     /// The data of a structure reveal no damage.
     Blind,

@@ -2,6 +2,8 @@
 
 use jiff::Timestamp;
 use spandrel_bus::Name;
+use spandrel_earthquake::Due;
+use std::collections::BTreeMap;
 
 /// Returns the name of the recording that starts at a time (ns since 1970-01-01 UTC), such as
 /// `2022-12-20T10-34-01Z`.
@@ -34,6 +36,29 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
+/// Returns sentences about later judgements that wait, because no samples arrive.
+///
+/// Earthquakes with the same later judgements share a sentence.
+pub(crate) fn waiting_for_samples(due: &[Due]) -> Vec<String> {
+    let mut afters: BTreeMap<i64, Vec<f64>> = BTreeMap::new();
+    for due in due {
+        afters.entry(due.of_ns).or_default().push(due.after_s);
+    }
+    let mut earthquakes: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for (of_ns, mut afters) in afters {
+        afters.sort_by(f64::total_cmp);
+        let afters: Vec<String> = afters.into_iter().map(duration).collect();
+        let of = earthquakes.entry(afters.join(" and ")).or_default();
+        of.push(date(of_ns));
+    }
+    let sentence = |(after, of): (String, Vec<String>)| {
+        let s = if of.len() == 1 { "" } else { "s" };
+        let of = of.join("; ");
+        format!("No samples arrive. The judgement {after} after the earthquake{s} of {of} waits.")
+    };
+    earthquakes.into_iter().map(sentence).collect()
+}
+
 fn timestamp(time_ns: i64) -> Timestamp {
     // The calendar of `jiff` includes every time of 64 bits in nanoseconds.
     Timestamp::from_nanosecond(time_ns.into()).unwrap_or_default()
@@ -52,5 +77,33 @@ mod tests {
         assert_eq!(date(start_ns), "20 December 2022, 10:34 UTC");
         let durations = [3_600.0, 86_400.0, 7.0 * 86_400.0, 90.0, 300.0].map(duration);
         assert_eq!(durations, ["1 h", "1 d", "7 d", "90 s", "5 min"]);
+    }
+
+    #[test]
+    fn earthquakes_with_the_same_later_judgements_share_a_sentence() {
+        let due = |of_s: i64, after_s: f64| Due {
+            of_ns: of_s * 1_000_000_000,
+            after_s,
+            at_ns: 0,
+        };
+        let hour = 3_600.0;
+        let all = [due(0, hour), due(0, 24.0 * hour), due(60, 24.0 * hour)];
+        assert_eq!(
+            waiting_for_samples(&all),
+            [
+                "No samples arrive. The judgement 1 d after the earthquake of 1 January 1970, 00:01 \
+                 UTC waits.",
+                "No samples arrive. The judgement 1 h and 1 d after the earthquake of 1 January \
+                 1970, 00:00 UTC waits.",
+            ]
+        );
+        let same = [due(60, hour), due(0, hour)];
+        assert_eq!(
+            waiting_for_samples(&same),
+            [
+                "No samples arrive. The judgement 1 h after the earthquakes of 1 January 1970, 00:00 \
+                 UTC; 1 January 1970, 00:01 UTC waits."
+            ]
+        );
     }
 }

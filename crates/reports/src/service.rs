@@ -5,7 +5,7 @@ use crate::desk::{Desk, Work, occasion};
 use crate::error::ReportsError;
 use crate::maker::{MadeReport, ReportMaker};
 use crate::memory::Memory;
-use crate::name::{date, duration, stem};
+use crate::name::{date, duration, stem, waiting_for_samples};
 use crate::records::{Kept, Records};
 use spandrel_bus::{
     BoxedFuture, Delivery, Event, EventKind, FrameBlock, KeyFamily, Keys, LiveToken, Question,
@@ -253,7 +253,7 @@ impl ReportsService {
                         kind: EventKind::Earthquake,
                         time_ns,
                         subject: report,
-                        what: "strong motion".to_owned(),
+                        what: "earthquake begins".to_owned(),
                         why: format!("a report follows within a minute after it: {path}"),
                         structure: self.keys.structure().clone(),
                     };
@@ -470,7 +470,9 @@ impl ReportsService {
         let mut all = Vec::new();
         let detection = self.cutting.detection();
         if detection.is_shaking() {
-            all.push("The structure is in strong motion. A report follows after it.".to_owned());
+            all.push(
+                "An earthquake is being recorded. Its report follows within a minute.".to_owned(),
+            );
         }
         if let Some(why) = &self.trouble {
             all.push(format!("A recording waits for the disk: {why}."));
@@ -479,19 +481,19 @@ impl ReportsService {
             all.push(format!("The recording {stem} is not reported: {why}."));
         }
         let last_ns = self.cutting.last_time_ns().unwrap_or(i64::MIN);
+        if self.is_silent() {
+            all.extend(waiting_for_samples(detection.due()));
+            return all;
+        }
         for due in detection.due() {
             let (of, after) = (date(due.of_ns), duration(due.after_s));
             let at = date(due.at_ns);
-            all.push(match (due.at_ns > last_ns, self.is_silent()) {
-                (true, false) => {
-                    format!("The earthquake of {of} is judged again {after} after it, at {at}.")
-                }
-                (false, false) => format!(
+            all.push(if due.at_ns > last_ns {
+                format!("The earthquake of {of} is judged again {after} after it, at {at}.")
+            } else {
+                format!(
                     "The earthquake of {of} is judged again now, {after} after it, from weak motion."
-                ),
-                (_, true) => format!(
-                    "The judgement {after} after the earthquake of {of} waits: no samples arrive."
-                ),
+                )
             });
         }
         all

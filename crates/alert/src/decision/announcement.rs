@@ -3,8 +3,8 @@
 use super::{Decision, Stage};
 use crate::credibility::{loss_estimate, probability_of_loss};
 use crate::wording::{Before, describe};
-use crate::{Alert, LossEstimate, ParameterEstimate};
-use spandrel_bus::{AlertState, EstimateFlags};
+use crate::{Alert, ParameterEstimate};
+use spandrel_bus::{AlertState, EstimateFlags, losses_agree};
 
 /// Minimum time between revisions of a raised alert, ns of measurement time.
 const REVISED_EVERY_NS: i64 = 1_000_000_000;
@@ -31,9 +31,10 @@ impl Decision {
             return;
         }
         let has_jumped = last.follows_jump && !flags.follows_jump;
-        let has_moved = last
-            .loss
-            .is_none_or(|told| disagree(&told, &loss_estimate(estimate, reference)));
+        let now = loss_estimate(estimate, reference);
+        let has_moved = last.loss.is_none_or(|told| {
+            !losses_agree((told.loss, told.interval()), (now.loss, now.interval()))
+        });
         if has_jumped || has_moved {
             self.announce(alerts);
         }
@@ -110,10 +111,4 @@ impl Decision {
         });
         Some((told, flags))
     }
-}
-
-/// Returns `true` if one of the two losses lies outside the interval of the other.
-fn disagree(told: &LossEstimate, now: &LossEstimate) -> bool {
-    let holds = |interval: &LossEstimate, loss: f64| (interval.low..=interval.high).contains(&loss);
-    !holds(now, told.loss) || !holds(told, now.loss)
 }

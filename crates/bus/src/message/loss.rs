@@ -37,7 +37,8 @@ pub struct LossDisplay {
 }
 
 impl LossDisplay {
-    /// Describes the loss if it is newer than an open alert of the same parameter and rule.
+    /// Describes the loss if it is newer than an open alert of the same parameter and rule, and
+    /// disagrees with the loss that the alert states.
     #[must_use]
     pub fn since(&self, alert: &AlertMessage) -> Option<String> {
         let is_open = match alert.state {
@@ -50,7 +51,9 @@ impl LossDisplay {
             AlertState::Learning | AlertState::Normal | AlertState::Undecided => false,
         };
         let is_same = (&self.parameter, self.rule_loss) == (&alert.parameter, alert.rule_loss);
-        if !is_open || !is_same || self.time_ns <= alert.time_ns {
+        let stated = alert.loss.zip(alert.loss_interval);
+        let is_told = stated.is_some_and(|stated| losses_agree(stated, (self.loss, self.interval)));
+        if !is_open || !is_same || self.time_ns <= alert.time_ns || is_told {
             return None;
         }
         Some(self.words())
@@ -59,14 +62,13 @@ impl LossDisplay {
     /// Returns the loss in words: its value, interval and probability.
     #[must_use]
     pub fn words(&self) -> String {
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         format!(
-            "loss {} ({:.0} % interval {} to {}), more than {} with probability {}",
-            percent(self.loss),
+            "loss {} % ({:.0} % interval {} to {} %), more than {} % with probability {}",
+            per_cent(self.loss),
             100.0 * self.interval.level,
-            percent(self.interval.low),
-            percent(self.interval.high),
-            percent(self.rule_loss),
+            per_cent(self.interval.low),
+            per_cent(self.interval.high),
+            per_cent(self.rule_loss),
             self.shown_probability(),
         )
     }
@@ -76,6 +78,25 @@ impl LossDisplay {
     #[must_use]
     pub fn shown_probability(&self) -> RoundedProbability {
         RoundedProbability::new(self.probability_of_loss, &[self.rule_credibility])
+    }
+}
+
+/// Returns `true` if each of two losses lies within the interval of the other.
+///
+/// An alert is revised when its loss disagrees with the present one. Until then, it states both.
+#[must_use]
+pub fn losses_agree(a: (f64, CredibleInterval), b: (f64, CredibleInterval)) -> bool {
+    a.1.contains(b.0) && b.1.contains(a.0)
+}
+
+/// Formats a share in per cent without the sign, with one decimal unless it is whole: `14.2`, `5`.
+#[must_use]
+pub fn per_cent(share: f64) -> String {
+    let text = format!("{:.1}", share * 100.0);
+    match text.strip_suffix(".0") {
+        Some("-0") => "0".to_owned(),
+        Some(whole) => whole.to_owned(),
+        None => text,
     }
 }
 
@@ -155,8 +176,7 @@ mod tests {
 
     #[test]
     fn a_later_loss_updates_an_open_alert() {
-        let text =
-            "loss 6.1 % (95 % interval 1.4 % to 10.8 %), more than 5.0 % with probability 0.679";
+        let text = "loss 6.1 % (95 % interval 1.4 to 10.8 %), more than 5 % with probability 0.679";
         let raised = alert(AlertState::Raised);
         assert_eq!(loss(101).since(&raised).as_deref(), Some(text));
         assert_eq!(loss(100).since(&raised), None, "it decided the alert");
@@ -167,6 +187,32 @@ mod tests {
             ..raised
         };
         assert_eq!(loss(101).since(&of_another_rule), None);
+    }
+
+    /// Regression test: the alert stated 15 % (14.1 to 16 %), and the line below it 14.8 % (14.3 to
+    /// 15.4 %).
+    #[test]
+    fn a_later_loss_that_agrees_with_the_alert_is_not_told_again() {
+        let told = |loss: f64, low: f64, high: f64| AlertMessage {
+            loss: Some(loss),
+            loss_interval: Some(CredibleInterval {
+                level: 0.95,
+                low,
+                high,
+            }),
+            ..alert(AlertState::Raised)
+        };
+        assert_eq!(loss(101).since(&told(0.07, 0.05, 0.09)), None);
+        let outside = [(0.12, 0.05, 0.19), (0.1, 0.08, 0.12)];
+        for (share, low, high) in outside {
+            assert!(loss(101).since(&told(share, low, high)).is_some());
+        }
+    }
+
+    #[test]
+    fn whole_percentages_have_no_decimals() {
+        let shares = [0.05, 0.142, -0.000_1, -0.021].map(per_cent);
+        assert_eq!(shares, ["5", "14.2", "0", "-2.1"]);
     }
 
     #[test]

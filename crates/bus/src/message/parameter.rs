@@ -21,6 +21,12 @@ impl CredibleInterval {
     /// quantile.
     pub const HALF_WIDTH_95: f64 = 1.959_963_984_540_054;
 
+    /// Returns `true` if a value lies within the interval or on one of its ends.
+    #[must_use]
+    pub fn contains(&self, value: f64) -> bool {
+        (self.low..=self.high).contains(&value)
+    }
+
     /// Returns the 95 % interval of a normal variable.
     #[must_use]
     pub fn of_normal(mean: f64, std: f64) -> Self {

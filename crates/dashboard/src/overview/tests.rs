@@ -251,7 +251,7 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
             format!("storey-2 is {}; {as_it_was}", state.as_str())
         );
         assert!(
-            found.now.is_some_and(|now| now.starts_with("loss 3.0 %")),
+            found.now.is_some_and(|now| now.starts_with("loss 3 %")),
             "by the last value"
         );
     }
@@ -427,8 +427,7 @@ fn the_sentence_of_an_alert_has_the_present_state_beside_it() {
     assert_eq!(found.sentence, "storey-2 is raised");
     let now = found.now.unwrap();
     assert!(
-        now.starts_with("loss 3.0 % (95 % interval 1.0 % to 5.0 %)")
-            && now.ends_with("probability 0.020"),
+        now.starts_with("loss 3 % (95 % interval 1 to 5 %)") && now.ends_with("probability 0.020"),
         "{now}"
     );
 }

@@ -9,7 +9,7 @@ use crate::summary::{FitSummary, Samples};
 use jiff::Timestamp;
 use serde::Serialize;
 use spandrel_earthquake::{
-    Coverage, EventCourse, EventJudgement, Interval, JudgeSettings, LastingLoss, Window,
+    Coverage, EventCourse, EventJudgement, Interval, JudgeSettings, LastingLoss, Urgency, Window,
 };
 use spandrel_faults::{ChannelHealth, Fault, Soundness};
 use spandrel_structure::{EarthquakePlan, Structure};
@@ -20,42 +20,6 @@ pub const KIND: &str = "spandrel-earthquake-report";
 const SPECTRUM_PERIODS: usize = 80;
 const SPECTRUM_FROM_S: f64 = 0.04;
 const SPECTRUM_TO_S: f64 = 4.0;
-
-/// How soon an inspector is needed, the most urgent first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Urgency {
-    /// A lasting loss is raised, or the structure softened more than its earlier events let expect.
-    InspectFirst,
-    /// The structure softened, and whether it recovered is not judged; or a lasting loss is probable.
-    Inspect,
-    /// Strong shaking without a sign of lasting loss, or a sensor in doubt.
-    Watch,
-    /// Weak motion, and nothing new.
-    NoAction,
-}
-
-impl Urgency {
-    /// Returns the words for people.
-    pub fn words(self) -> &'static str {
-        match self {
-            Self::InspectFirst => "inspect first",
-            Self::Inspect => "inspect",
-            Self::Watch => "watch",
-            Self::NoAction => "no action",
-        }
-    }
-
-    /// Returns the rank, from 1 for the most urgent.
-    pub fn rank(self) -> u8 {
-        match self {
-            Self::InspectFirst => 1,
-            Self::Inspect => 2,
-            Self::Watch => 3,
-            Self::NoAction => 4,
-        }
-    }
-}
 
 /// An event in a list.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -1,8 +1,8 @@
 //! The judgement of an event in sentences.
 
-use super::report::{EventName, EventReport, ParameterReport, Source, Urgency};
+use super::report::{EventName, EventReport, ParameterReport, Source};
 use spandrel_earthquake::motion::GRAVITY;
-use spandrel_earthquake::{LastingLoss, ReferenceKind, Softening, Waiting};
+use spandrel_earthquake::{LastingLoss, ReferenceKind, Softening, Urgency, Waiting};
 
 /// Formats a share in per cent without decimals, with the typographic minus sign.
 pub fn percent(share: f64) -> String {

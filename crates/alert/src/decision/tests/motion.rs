@@ -29,10 +29,24 @@ fn loss_in_strong_motion_is_softening_and_raises_nothing() {
     for part in [
         "storey-2 is softer by 14 % of its stiffness",
         "in strong motion of up to 2.00 m/s²: whether this amplitude explains it is not known yet",
-        "a lasting loss is judged from weak motion, 5 minutes after the strong motion",
+        "this alone shows no damage; a lasting loss is judged from weak motion, 5 minutes after the \
+         strong motion",
     ] {
         assert!(why.contains(part), "{why}");
     }
+}
+
+/// Regression test: with a probability just below the required one, the state changed between
+/// `softening-in-motion` and `normal`.
+#[test]
+fn softening_ends_at_the_probability_that_clears_an_alert() {
+    let mut drive = drive(rule());
+    drive
+        .estimates(0..5, SOUND, SURE)
+        .flagged(5..20, SOFT, SURE, strong(2.0))
+        .flagged(20..40, 0.945, SURE, strong(2.0)) // more than 5 % with probability 0.69
+        .estimates(40..60, SOUND, SURE);
+    assert_eq!(drive.states(), [(SofteningInMotion, 5), (Normal, 40)]);
 }
 
 #[test]
