@@ -112,6 +112,7 @@ struct Group {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct GroupState {
+    /// The channels as measured, and then without spikes.
     windows: Windows,
     memories: Vec<Memory>,
     /// Whether a channel measures a motion that the others do not.
@@ -163,18 +164,36 @@ impl SensorCheck {
     /// Takes the values of a frame (SI units), NaN for missing ones. Returns the changes that it
     /// causes.
     pub fn take(&mut self, values: &[f64]) -> Vec<Change> {
+        self.take_screened(values, values)
+    }
+
+    /// Takes the values of a frame as measured, and without the spikes that a screening has found.
+    /// Otherwise like [`SensorCheck::take`].
+    ///
+    /// A screening with a wrong model takes motion for spikes. A spike that remains and a motion
+    /// that is missing both disturb the low band. Of the two series of a channel, each window
+    /// therefore uses the one that follows the other channels better.
+    pub fn take_screened(&mut self, measured: &[f64], without_spikes: &[f64]) -> Vec<Change> {
         let mut changes = Vec::new();
         for (group, state) in self.groups.iter().zip(&mut self.state.groups) {
-            let of_group = || group.channels.iter().map(|channel| values[*channel]);
+            let of_channels = |values: &'_ [f64]| -> Vec<f64> {
+                let values = group.channels.iter().map(|channel| values[*channel]);
+                values.collect()
+            };
+            let measured = of_channels(measured);
+            let without_spikes = of_channels(without_spikes);
+            let of_group = || without_spikes.iter().copied();
             let weight = group.spectrum.weight_in_quarter(&state.windows);
             state.offsets.take(of_group(), weight);
             state.powers.take(&group.filters, of_group());
             for (extremes, value) in state.extremes.iter_mut().zip(of_group()) {
                 extremes.take(value);
             }
-            let Some(window) = group.spectrum.take(&mut state.windows, of_group()) else {
+            let both = measured.iter().copied().chain(of_group());
+            let Some(window) = group.spectrum.take(&mut state.windows, both) else {
                 continue;
             };
+            let window = window.most_coherent();
             group.find(state, &window);
             for memory in &mut state.memories {
                 memory.add(&window);
@@ -372,7 +391,7 @@ impl SensorCheck {
     pub fn restore(&mut self, state: SensorCheckState) -> bool {
         let fits = |(group, state): (&Group, &GroupState)| {
             let count = group.channels.len();
-            state.windows.fits(count)
+            state.windows.fits(2 * count)
                 && state.memories.len() == HALF_LIVES.len()
                 && state.memories.iter().all(|memory| memory.fits(count))
                 && state.offsets.fits(count)
@@ -493,7 +512,7 @@ impl Group {
     fn empty(&self) -> GroupState {
         let count = self.channels.len();
         GroupState {
-            windows: Windows::new(count),
+            windows: Windows::new(2 * count),
             memories: HALF_LIVES
                 .iter()
                 .map(|half_life| Memory::new(count, *half_life))

@@ -147,6 +147,46 @@ impl Spectrum {
     }
 }
 
+impl Coefficients {
+    /// Returns one series per channel, of a window that contains two. These are the channels of the
+    /// first half and their alternatives in the second half. The one that follows the other channels
+    /// better is taken.
+    pub(crate) fn most_coherent(mut self) -> Self {
+        let alternatives = self.of_channels.split_off(self.of_channels.len() / 2);
+        let with_others = |channel: usize, bins: &[Complex<f64>]| -> f64 {
+            let pairs = self.of_channels.iter().zip(&alternatives).enumerate();
+            let others = pairs.filter(|(other, _)| *other != channel);
+            let both = others.flat_map(|(_, (own, other))| [own, other]);
+            both.flatten().map(|other| coherence(bins, other)).sum()
+        };
+        let is_better: Vec<bool> = self
+            .of_channels
+            .iter()
+            .zip(&alternatives)
+            .enumerate()
+            .map(|(channel, series)| match series {
+                (Some(own), Some(other)) => with_others(channel, other) > with_others(channel, own),
+                _ => false,
+            })
+            .collect();
+        let channels = self.of_channels.iter_mut().zip(alternatives);
+        for ((own, other), is_better) in channels.zip(is_better) {
+            if is_better {
+                *own = other;
+            }
+        }
+        self
+    }
+}
+
+/// Returns the coherence of two channels in the band of one window, 0 to 1.
+fn coherence(one: &[Complex<f64>], other: &[Complex<f64>]) -> f64 {
+    let power = |bins: &[Complex<f64>]| bins.iter().map(Complex::norm_sqr).sum::<f64>();
+    let products = one.iter().zip(other).map(|(x, y)| x.conj() * y);
+    let both = power(one) * power(other);
+    products.sum::<Complex<f64>>().norm_sqr() / both.max(f64::MIN_POSITIVE)
+}
+
 impl Windows {
     /// Creates empty windows for a number of channels.
     pub(crate) fn new(channels: usize) -> Self {

@@ -52,7 +52,7 @@ impl NodeScreening {
             return Some(match self.faulty {
                 true => (
                     EventKind::ChannelExcluded,
-                    "the sensor is faulty: its samples are not used",
+                    "the sensor or the model is wrong: its samples are not used",
                     why.unwrap_or_else(|| {
                         "its samples are far from the predicted response of the structure"
                             .to_owned()

@@ -434,3 +434,57 @@ fn sensor_in_doubt_that_disappears_is_unchecked() {
     let health = check.health()[1].unwrap();
     assert_eq!(health, ChannelHealth::default());
 }
+
+/// Returns the changes of the stiff frame's check with two series of the same frames.
+fn screened(measured: &[Vec<f64>], without_spikes: &[Vec<f64>]) -> Vec<(f64, Change)> {
+    let mut check = SensorCheck::new(&table(&[]));
+    let frames = measured.iter().zip(without_spikes).enumerate();
+    let changes = frames.flat_map(|(number, (measured, without_spikes))| {
+        let changes = check.take_screened(measured, without_spikes);
+        let time_s = number as f64 / 120.0;
+        changes.into_iter().map(move |change| (time_s, change))
+    });
+    changes.collect()
+}
+
+/// Replaces the samples of floor 2 that exceed half of its standard deviation by the prediction of
+/// a wrong model, which is zero.
+fn without_motion(sound: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let squares: f64 = sound.iter().map(|frame| frame[FLOOR_2].powi(2)).sum();
+    let limit = 0.5 * (squares / sound.len() as f64).sqrt();
+    let mut screened = sound.to_vec();
+    for frame in &mut screened {
+        if frame[FLOOR_2].abs() > limit {
+            frame[FLOOR_2] = 0.0;
+        }
+    }
+    screened
+}
+
+#[test]
+fn motion_that_a_screening_removes_makes_no_sensor_faulty() {
+    let sound = frames(&table(&[("noise-std = 0.3", "noise-std = 0.03")]));
+    let without = without_motion(&sound);
+    assert!(
+        !suspected(&screened(&without, &without)).is_empty(),
+        "the case is too easy"
+    );
+    assert_eq!(suspected(&screened(&sound, &without)), []);
+}
+
+#[test]
+fn spikes_that_a_screening_removes_make_no_sensor_faulty() {
+    let sound = frames(&table(&[("noise-std = 0.3", "noise-std = 0.03")]));
+    let mut spiked = sound.clone();
+    let mut random = noise(1.0);
+    for frame in &mut spiked {
+        if random() > 0.4 {
+            frame[FLOOR_2] += 50.0 * random();
+        }
+    }
+    assert!(
+        !suspected(&screened(&spiked, &spiked)).is_empty(),
+        "the case is too easy"
+    );
+    assert_eq!(suspected(&screened(&spiked, &sound)), []);
+}

@@ -187,7 +187,7 @@ impl Identification {
             let (kind, what) = match change {
                 OutlierChange::FaultBegan => (
                     EventKind::ChannelExcluded,
-                    "the sensor is faulty: its samples are not used",
+                    "the sensor or the model is wrong: its samples are not used",
                 ),
                 OutlierChange::FaultEnded => (EventKind::ChannelBack, "the sensor is used again"),
                 OutlierChange::Rescaled | OutlierChange::Trained => (

@@ -92,8 +92,9 @@ impl Identification {
         if !self.spikes.take(&mut samples) {
             return Vec::new();
         }
-        let values: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
-        self.check.take(&values)
+        let measured: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
+        let without_spikes: Vec<f64> = samples.iter().map(|sample| sample.without_spike).collect();
+        self.check.take_screened(&measured, &without_spikes)
     }
 
     fn rate_hz(&self) -> f64 {

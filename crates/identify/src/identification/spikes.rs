@@ -10,7 +10,9 @@ const SHARED: f64 = 0.25;
 ///
 /// The screening of the filter also rejects samples of a structure that has changed. Without these
 /// samples, its sensors would seem to contradict each other. A rejected sample is therefore no spike
-/// if its neighbours in time are rejected as well, and share its deviation from the prediction.
+/// if its neighbours in time are rejected as well, and share its deviation from the prediction. This
+/// does not suffice for a fast motion that the model does not contain. The measured samples are
+/// therefore kept beside those without spikes.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Spikes {
     /// The newest sample of each channel. Empty before the first frame.
@@ -24,6 +26,8 @@ pub(super) struct Spikes {
 pub(super) struct Sample {
     /// SI units; NaN if the sample is missing.
     pub(super) value: f64,
+    /// The value without a spike (SI units).
+    pub(super) without_spike: f64,
     /// Difference from the prediction (SI units). NaN if the filter does not predict the sample.
     pub(super) residual: f64,
     pub(super) is_rejected: bool,
@@ -42,6 +46,7 @@ impl Sample {
     pub(super) fn unpredicted(value: f64) -> Self {
         Self {
             value,
+            without_spike: value,
             residual: f64::NAN,
             is_rejected: false,
         }
@@ -77,8 +82,8 @@ fn mean_of_known(before: f64, next: f64) -> f64 {
 }
 
 impl Spikes {
-    /// Takes the samples of the next frame. Replaces their values by those of the frame before
-    /// without spikes. Returns `false`, and changes nothing, if there is no frame before.
+    /// Takes the samples of the next frame. Replaces them by those of the frame before, and removes
+    /// the spikes of these. Returns `false`, and changes nothing, if there is no frame before.
     pub(super) fn take(&mut self, samples: &mut [Sample]) -> bool {
         if self.last.is_empty() {
             self.last.extend_from_slice(samples);
@@ -96,7 +101,7 @@ impl Spikes {
             *last = next;
             let cleaned = sample.cleaned(*before, next);
             if sample.is_rejected {
-                sample.value += cleaned - sample.residual;
+                sample.without_spike = sample.value + cleaned - sample.residual;
             }
             *before = Residual {
                 measured: sample.residual,
@@ -128,12 +133,13 @@ mod tests {
         let mut spikes = Spikes::default();
         let taken = residuals.iter().filter_map(|residual| {
             let sample = Sample {
-                value: 10.0 + residual,
                 residual: *residual,
                 is_rejected: residual.abs() >= rejected,
+                ..Sample::unpredicted(10.0 + residual)
             };
             let mut samples = [sample];
-            spikes.take(&mut samples).then_some(samples[0].value)
+            let is_taken = spikes.take(&mut samples);
+            is_taken.then_some(samples[0].without_spike)
         });
         taken.collect()
     }
@@ -171,9 +177,9 @@ mod tests {
     fn spike_without_neighbours_becomes_the_prediction() {
         let mut spikes = Spikes::default();
         let spike = Sample {
-            value: 9.0,
             residual: 8.0,
             is_rejected: true,
+            ..Sample::unpredicted(9.0)
         };
         assert!(!spikes.take(&mut [Sample::unpredicted(f64::NAN)]));
         let mut taken = [spike];
@@ -181,7 +187,7 @@ mod tests {
         assert!(taken[0].value.is_nan(), "a missing sample remains missing");
         let mut taken = [Sample::unpredicted(f64::NAN)];
         assert!(spikes.take(&mut taken));
-        assert_eq!(taken[0].value, 1.0);
+        assert_eq!((taken[0].value, taken[0].without_spike), (9.0, 1.0));
     }
 
     #[test]
