@@ -141,25 +141,9 @@ async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_
     for _ in 0..30 {
         running.put(&[("roof", 600)]).await;
     }
-    // The report reaches people as a notice.
-    let (mut event, mut is_reported) = (None, false);
-    for _ in 0..NAMED_WITHIN {
-        running.put(&all(600)).await;
-        let mut events = running.events.messages().try_iter();
-        event = event.or_else(|| events.find(|(_, event)| event.kind == EventKind::ClockWrong));
-        let mut reports = running.reports.messages().try_iter();
-        is_reported |=
-            reports.any(|(_, report)| report.words().contains("the clock of roof is 600.0 s"));
-        if event.is_some() && is_reported {
-            break;
-        }
-    }
-    let log = running.services.log();
-    assert!(
-        is_reported && log.contains("600.0 s ahead of most nodes"),
-        "{log}"
-    );
-    let (_, event) = event.unwrap_or_else(|| panic!("not named\n{log}"));
+    let event = running
+        .until_event(EventKind::ClockWrong, &all(600), NAMED_WITHIN)
+        .await;
     assert_eq!(event.subject, "roof", "{event:?}");
     assert!(
         event.what.contains("600.0 s ahead of most nodes"),
@@ -182,6 +166,14 @@ async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_
         "{:?}",
         status.drops
     );
+    // This reaches people as a notice.
+    let mut named = false;
+    for _ in 0..NAMED_WITHIN {
+        running.put(&all(600)).await;
+        let mut reports = running.reports.messages().try_iter();
+        named |= reports.any(|(_, report)| report.words().contains("the clock of roof is 600.0 s"));
+    }
+    assert!(named, "{}", running.services.log());
     let event = running
         .until_event(EventKind::ClockRight, &all(0), NAMED_WITHIN)
         .await;
@@ -191,7 +183,11 @@ async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_
             frame.iter().all(|value| value.is_finite())
         })
         .await;
-    running.services.stop().expect_code(0);
+    running
+        .services
+        .stop()
+        .expect_code(0)
+        .expect_told(&["600.0 s ahead of most nodes"]);
 }
 
 // A clock that moves by less than the limit of the vote went unnoticed.
