@@ -38,10 +38,18 @@ fn get(address: &str, path: &str, headers: &str) -> String {
     exchange(address, &request)
 }
 
+/// Returns the count of refusals for a reason, from the metrics of the page.
+fn refused(metrics: &str, reason: &str) -> u64 {
+    let start = format!("spandrel_refused_total{{reason=\"{reason}\"}} ");
+    let line = metrics.lines().find_map(|line| line.strip_prefix(&start));
+    line.and_then(|count| count.parse().ok())
+        .unwrap_or_else(|| panic!("no count of {reason}\n{metrics}"))
+}
+
 /// Regression: 300 connections that sent half a head kept everybody out for 20 s.
 #[test]
 fn slow_connections_keep_nobody_out() {
-    const MANY: usize = 300;
+    const MANY: u64 = 300;
     let site = Site::with(&two_storeys(""));
     let (services, address) = with_page(&site, &[]);
     let address: SocketAddr = address.parse().unwrap();
@@ -59,11 +67,8 @@ fn slow_connections_keep_nobody_out() {
     }
     services.wait_for_log("too many connections to the page");
     let metrics = get(&address.to_string(), "/metrics", "");
-    let closed = metrics
-        .lines()
-        .find_map(|line| line.strip_prefix("spandrel_refused_total{reason=\"connection\"} "))
-        .and_then(|count| count.parse::<usize>().ok());
-    assert!(closed >= Some(MANY - 256), "{closed:?} connections closed");
+    let closed = refused(&metrics, "connection");
+    assert!(closed >= MANY - 256, "{closed} connections closed");
     drop(slow);
     services.stop().expect_code(0);
 }
@@ -134,11 +139,7 @@ fn wrong_tokens_are_logged_and_counted_and_right_ones_still_work() {
     let lines = services.log().matches("refused what=").count();
     assert!(lines <= 20, "{lines} lines about 40 wrong tokens");
     let metrics = get(&address, "/metrics", &bearer(token.trim()));
-    let count = |reason: &str| {
-        let start = format!("spandrel_refused_total{{reason=\"{reason}\"}} ");
-        let line = metrics.lines().find_map(|line| line.strip_prefix(&start));
-        line.and_then(|count| count.parse::<u64>().ok()).unwrap()
-    };
+    let count = |reason: &str| refused(&metrics, reason);
     assert_eq!(count("wrong-token") + count("repeated-wrong-token"), 40);
     assert!(
         !services.log().contains("spandrel-wrong"),
@@ -221,7 +222,7 @@ async fn an_isolated_run_accepts_samples_but_no_forged_results() {
     let keys = site.keys();
     let configuration = site.folder().join("spandrel.toml");
     std::fs::write(&configuration, "isolated = true\n").unwrap();
-    let (services, _) = with_page(&site, &["--config", configuration.to_str().unwrap()]);
+    let (services, page) = with_page(&site, &["--config", configuration.to_str().unwrap()]);
     let neighbour = BusConfig {
         root: keys.root().to_string(),
         mode: Mode::Client, // peers would connect to each other
@@ -238,6 +239,8 @@ async fn an_isolated_run_accepts_samples_but_no_forged_results() {
         put_raw(&forger, key, "application/json", b"{}".to_vec()).await;
         services.wait_for_log(&format!("why=\"Put on {key}\""));
     }
+    let metrics = get(&page, "/metrics", "");
+    assert!(refused(&metrics, "bus-right") >= 3, "{metrics}");
     let record = site.simulate(ROWS as f64 / 100.0);
     let mut sensors = Sensors::start(&forger, &keys, site.structure(), &record).await;
     sensors.put(0..ROWS).await;

@@ -8,7 +8,7 @@
 
 use crate::support::{
     DEADLINE, Disk, DiskLog, Identified, Luck, Process, Record, Sensors, Site, assert_same_bits,
-    differences, identified, two_storeys, within,
+    differences, identified, spandrel, two_storeys, within,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -777,4 +777,54 @@ async fn hundreds_of_power_failures_lose_only_what_was_not_synced() {
     for seed in [1, 2, 3] {
         fails_at_random_moments(100, Duration::from_secs(3600), seed, None).await;
     }
+}
+
+/// A command that has ended has promised its files. A new token replaces the file of the first one.
+#[test]
+fn tokens_and_certificates_survive_a_power_failure_after_the_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(disk) = Disk::or_skip(folder.path()) else {
+        return;
+    };
+    let site = disk.path().join("site");
+    let structure = folder.path().join("house.toml");
+    std::fs::write(&structure, building()).unwrap();
+    let [tokens, site, structure] = [&disk.path().join("tokens.json"), &site, &structure]
+        .map(|path| path.to_str().unwrap().to_owned());
+    let commands: [(&str, &[&str]); 6] = [
+        ("token", &["ada", "--role", "viewer", "--file", &tokens]),
+        ("token", &["grace", "--role", "operator", "--file", &tokens]),
+        ("site", &["create", &site]),
+        (
+            "site",
+            &["issue", &site, "router", "main", "--host", "127.0.0.1"],
+        ),
+        ("site", &["nodes", &site, &structure]),
+        (
+            "site",
+            &[
+                "router",
+                &site,
+                &structure,
+                "--listen",
+                "quic/127.0.0.1:7447",
+            ],
+        ),
+    ];
+    for (subcommand, arguments) in commands {
+        let mut command = spandrel(subcommand);
+        disk.watch(command.args(arguments));
+        Process::start(&mut command).wait().expect_code(0);
+    }
+    let nothing_else = Luck {
+        data: 0.0,
+        names: 0.0,
+        grows: false,
+        sector: 512,
+    };
+    let (log, after) = (disk.read(), folder.path().join("after"));
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    log.rebuild(log.moments().len(), nothing_else, &mut random, &after);
+    let differing = differences(&disk.path(), &after);
+    assert!(differing.is_empty(), "{differing:#?}");
 }

@@ -14,6 +14,7 @@ use rcgen::{
     Issuer, KeyPair, KeyUsagePurpose, SanType, date_time_ymd,
 };
 use spandrel_bus::{AUTHORITY_FILE, TlsConfig};
+use spandrel_checkpoint::sync_name;
 
 use crate::error::AccessError;
 use crate::role::{Party, Role};
@@ -359,6 +360,7 @@ impl Issued {
     }
 }
 
+/// Writes a file for its owner alone. On return, it is on disk.
 fn write_private(path: &Path, text: &str, existing: Existing) -> Result<(), AccessError> {
     let mut options = OpenOptions::new();
     options.write(true).mode(FILE_MODE);
@@ -369,7 +371,10 @@ fn write_private(path: &Path, text: &str, existing: Existing) -> Result<(), Acce
     let written = options.open(path).and_then(|mut file| {
         // An existing file would keep its mode.
         file.set_permissions(Permissions::from_mode(FILE_MODE))?;
-        file.write_all(text.as_bytes())
+        file.write_all(text.as_bytes())?;
+        file.sync_all()?;
+        sync_name(path);
+        Ok(())
     });
     written.map_err(|source| match source.kind() {
         ErrorKind::AlreadyExists => AccessError::Exists {

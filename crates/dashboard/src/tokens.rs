@@ -6,6 +6,7 @@ use rustls::crypto::ring::default_provider;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use spandrel_bus::Name;
+use spandrel_checkpoint::sync_name;
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write as _};
 use std::os::unix::fs::OpenOptionsExt;
@@ -106,7 +107,8 @@ impl Tokens {
         Ok(secret)
     }
 
-    /// Writes a new file and renames it over the old one, so that no reader sees half a file.
+    /// Writes a new file and renames it over the old one, so that no reader sees half a file. On
+    /// return, it is on disk.
     fn write(&self, path: &Path) -> Result<(), DashboardError> {
         let failed = |source| DashboardError::TokenFile {
             path: path.to_owned(),
@@ -124,7 +126,9 @@ impl Tokens {
         file.write_all(text.as_bytes())
             .and_then(|()| file.sync_all())
             .map_err(failed)?;
-        std::fs::rename(&beside, path).map_err(failed)
+        std::fs::rename(&beside, path).map_err(failed)?;
+        sync_name(path);
+        Ok(())
     }
 
     /// Returns `true` if there are no tokens.

@@ -323,6 +323,25 @@ pub enum AppError {
          both to none"
     )]
     NoStateFolder,
+    /// The matrices of `spandrel check` would take too much memory.
+    #[error(
+        "{}: a check of {unknowns} parameters and noise levels with {channels} channels takes about \
+         {found_mb} MB of memory, must take at most {most_mb} MB; leave out parameters or sensors \
+         in a copy of the file",
+        path.display()
+    )]
+    CheckTooLarge {
+        /// Path of the structure file.
+        path: PathBuf,
+        /// Number of parameters and noise levels.
+        unknowns: usize,
+        /// Number of channels.
+        channels: usize,
+        /// Expected memory (MB).
+        found_mb: usize,
+        /// Maximum memory (MB).
+        most_mb: usize,
+    },
     /// The interval for flushing the recording to disk is not a valid time.
     #[error("state.recording.sync-s is {found}, must be a time in s, such as 1")]
     SyncTime {
@@ -690,6 +709,7 @@ impl AppError {
             | Self::Maintenance { .. }
             | Self::Annotation { .. }
             | Self::NoStateFolder
+            | Self::CheckTooLarge { .. }
             | Self::SyncTime { .. }
             | Self::SimulationStart { .. }
             | Self::WouldOverwrite { .. }

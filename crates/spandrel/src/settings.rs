@@ -52,8 +52,8 @@ pub struct Settings {
 pub struct HistorySettings {
     /// Database of the history, or [`NOTHING`].
     ///
-    /// `None` means a file in the system's folder for persistent state. A path in a configuration
-    /// file is relative to that file.
+    /// `None` means a file in the folder of the state, or in the system's folder for persistent
+    /// state if the state is switched off. A path in a configuration file is relative to that file.
     pub database: Option<String>,
     /// Retention period of each resolution.
     pub keep: Keep,
@@ -70,23 +70,29 @@ impl HistorySettings {
     ///
     /// # Errors
     /// The database is not valid, or there is no folder for it.
-    pub fn address(&self) -> Result<Option<Address>, AppError> {
+    pub fn address(&self, state: &StateSettings) -> Result<Option<Address>, AppError> {
         match self.database.as_deref() {
             Some(NOTHING) => Ok(None),
             Some(text) => Ok(Some(Address::parse(text)?.below(&self.folder))),
             None => {
-                let folder =
-                    state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()));
-                Ok(Some(Address::Sqlite(
-                    folder.ok_or(AppError::NoStateFolder)?.join(HISTORY_FILE),
-                )))
+                let folder = state.root()?.map_or_else(default_folder, Ok)?;
+                Ok(Some(Address::Sqlite(folder.join(HISTORY_FILE))))
             }
         }
     }
 }
 
+/// Returns the system's folder for persistent state.
+///
+/// # Errors
+/// No variable names one.
+pub(crate) fn default_folder() -> Result<PathBuf, AppError> {
+    state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
+        .ok_or(AppError::NoStateFolder)
+}
+
 /// Returns the folder for persistent state: the folder set by systemd, or else the user's folder.
-pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
+fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let of_service = || variable("STATE_DIRECTORY").map(PathBuf::from);
     let of_user =
         || variable("XDG_STATE_HOME").map(|folder| PathBuf::from(folder).join("spandrel"));
@@ -349,8 +355,8 @@ mod tests {
             &[],
             &BusArguments::default(),
         );
-        let history = settings.unwrap().history;
-        let Some(Address::Sqlite(path)) = history.address().unwrap() else {
+        let Settings { history, state, .. } = settings.unwrap();
+        let Some(Address::Sqlite(path)) = history.address(&state).unwrap() else {
             panic!("{history:?}")
         };
         assert!(
@@ -368,7 +374,18 @@ mod tests {
             &BusArguments::default(),
         )
         .unwrap();
-        assert_eq!(off.history.address().unwrap(), None);
+        assert_eq!(off.history.address(&off.state).unwrap(), None);
+        // Two runs with different state must not share a database.
+        let with_folder = load(
+            "[state]\nfolder = \"kept\"\n",
+            &[],
+            &BusArguments::default(),
+        );
+        let Settings { history, state, .. } = with_folder.unwrap();
+        let Some(Address::Sqlite(path)) = history.address(&state).unwrap() else {
+            panic!("{history:?}")
+        };
+        assert_eq!(path, state.beside.join("kept/history.sqlite"));
         let of = |known: &[(&str, &str)]| {
             state_folder(|name| {
                 known

@@ -1,7 +1,7 @@
 //! Folders for recordings and checkpoints, one for each structure.
 
 use crate::error::AppError;
-use crate::settings::{NOTHING, state_folder};
+use crate::settings::{NOTHING, default_folder};
 use serde::Deserialize;
 use spandrel_bus::Keys;
 use spandrel_checkpoint::Remembering;
@@ -74,7 +74,8 @@ pub struct RecordedFrames {
     pub segment_bytes: u64,
     /// Duration of a segment (s of measurement time).
     pub segment_s: u64,
-    /// Interval at which written data is flushed to disk (s).
+    /// Interval at which written data is flushed to disk (s). It is at most half of that between
+    /// two checkpoints.
     pub sync_s: f64,
 }
 
@@ -106,16 +107,25 @@ pub struct State {
 }
 
 impl StateSettings {
+    /// Returns the folder of the state, or `None` if the state is switched off.
+    ///
+    /// # Errors
+    /// There is no folder for the state.
+    pub(crate) fn root(&self) -> Result<Option<PathBuf>, AppError> {
+        match self.folder.as_deref() {
+            Some(NOTHING) => Ok(None),
+            Some(folder) => Ok(Some(self.beside.join(folder))),
+            None => default_folder().map(Some),
+        }
+    }
+
     /// Returns the folders, or `None` if the state is switched off.
     ///
     /// # Errors
     /// There is no folder for the state, or a duration is not valid.
     pub fn state(&self) -> Result<Option<State>, AppError> {
-        let folder = match self.folder.as_deref() {
-            Some(NOTHING) => return Ok(None),
-            Some(folder) => self.beside.join(folder),
-            None => state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
-                .ok_or(AppError::NoStateFolder)?,
+        let Some(folder) = self.root()? else {
+            return Ok(None);
         };
         let RecordedFrames {
             keep_s,
@@ -126,16 +136,19 @@ impl StateSettings {
         } = self.recording;
         let sync_every = Duration::try_from_secs_f64(sync_s)
             .map_err(|_| AppError::SyncTime { found: sync_s })?;
+        let checkpoint_every = Duration::from_secs_f64(self.checkpoint_s.0);
         Ok(Some(State {
             folder,
-            checkpoint_every: Duration::from_secs_f64(self.checkpoint_s.0),
+            checkpoint_every,
             log: LogSettings {
                 segment_bytes,
                 segment_s,
                 keep_bytes,
                 keep_s,
             },
-            sync_every,
+            // A service resumes from a checkpoint that is at least one interval old. The frames
+            // before it must not get lost in a power failure.
+            sync_every: sync_every.min(checkpoint_every / 2),
         }))
     }
 }
@@ -236,6 +249,21 @@ mod tests {
         state.restore_folders(&keys);
         assert!(state.recording(&keys).folder.is_dir());
         assert!(state.remembering(&keys).folder.is_dir());
+    }
+
+    #[test]
+    fn frames_are_flushed_before_the_checkpoint_from_which_a_service_resumes() {
+        let sync_s_with = |text: &str| {
+            let mut settings: StateSettings = toml::from_str(text).unwrap();
+            settings.folder = Some("kept".into());
+            let state = settings.state().unwrap().unwrap();
+            let keys = Keys::parse("city", "bridge").unwrap();
+            state.recording(&keys).sync_every.as_secs_f64()
+        };
+        assert_eq!(sync_s_with(""), 1.0);
+        assert_eq!(sync_s_with("checkpoint-s = 0.5"), 0.25);
+        assert_eq!(sync_s_with("recording.sync-s = 60"), 2.5);
+        assert_eq!(sync_s_with("checkpoint-s = 1\nrecording.sync-s = 0.1"), 0.1);
     }
 
     #[test]

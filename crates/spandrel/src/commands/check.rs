@@ -14,11 +14,15 @@ use crate::settings::Settings;
 use spandrel_bus::{Block as _, Bus, Delivery, FrameBlock, Start, StreamSettings};
 use spandrel_faults::SensorCheck;
 use spandrel_structure::Structure;
+use std::path::Path;
 use std::time::Duration;
 use tracing::info;
 
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
+
+/// Maximum memory of the matrices of a check (MB).
+const MOST_MB: usize = 500;
 
 /// Number of steps of the progress bar.
 const SHARES: u64 = 1000;
@@ -50,6 +54,7 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
             false => page.to_string(),
         });
     }
+    limit_memory(&structure, &arguments.structure)?;
     let bar = progress::share_bar(SHARES).with_message("checking");
     let report = structure.check_with_progress(arguments.after, SEED, &|share| {
         bar.set_position((share * SHARES as f64) as u64);
@@ -60,6 +65,32 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
         true => page.json(),
         false => page.to_string(),
     })
+}
+
+/// Rejects a structure whose check would take too much memory. It could stop the services of the
+/// machine.
+fn limit_memory(structure: &Structure, path: &Path) -> Result<(), AppError> {
+    let unknowns = structure.parameters().len() + structure.noise_levels().len();
+    let channels = structure.channel_count();
+    // A larger model is reduced to 100 shapes.
+    let states = match structure.degrees_of_freedom().len() {
+        whole @ 0..=200 => 2 * whole,
+        _ => 200,
+    };
+    // The derivative of the filter by an unknown has two covariances of the data, two gains, and the
+    // effect of the motion on state and data.
+    let entries = 2 * channels * channels + 2 * states * channels + (states + channels) * states;
+    let found_mb = unknowns * entries * size_of::<f64>() / 1_000_000;
+    match found_mb <= MOST_MB {
+        true => Ok(()),
+        false => Err(AppError::CheckTooLarge {
+            path: path.to_owned(),
+            unknowns,
+            channels,
+            found_mb,
+            most_mb: MOST_MB,
+        }),
+    }
 }
 
 /// Compares the sensors in `seconds` of the frames that ingest publishes from now on.

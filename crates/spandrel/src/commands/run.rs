@@ -153,7 +153,7 @@ impl Plan {
             settings.bus.access_control = Some(isolation_of(&settings, services, &watched)?);
         }
         let database = if services.has(Service::History) {
-            settings.history.address()?
+            settings.history.address(&settings.state)?
         } else {
             None
         };

@@ -8,8 +8,11 @@ use spandrel_access::{
     AccessError, Existing, Issued, Party, Role, RouterPlan, SiteFolder, router_file,
 };
 use spandrel_bus::{AUTHORITY_FILE, DEFAULT_ROOT, Name};
+use spandrel_checkpoint::sync_name;
 use spandrel_structure::Structure;
 use std::fmt::Write as _;
+use std::fs::File;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// File name of the router's configuration in the folder of a site.
@@ -148,12 +151,16 @@ fn write_router_file(arguments: &SiteRouterArguments) -> Result<(), AppError> {
     if output.exists() && !arguments.replace {
         return Err(AccessError::Exists { path: output }.into());
     }
-    let written = std::fs::write(&output, text);
+    let written = File::create(&output).and_then(|mut file| {
+        file.write_all(text.as_bytes())?;
+        file.sync_all()
+    });
     written.map_err(|source| AccessError::File {
         what: "written",
         path: output.clone(),
         source,
     })?;
+    sync_name(&output);
     print(&summary(&output, &parties, &structures)?)
 }
 
