@@ -44,7 +44,7 @@ export class ReportPage {
       this.told,
       h("div", { class: "actions" }, this.print),
     );
-    this.sheet = h("div", { class: "report", "data-state": "loading" }, ...empty("loading"));
+    this.sheet = h("div", { class: "report", "data-state": "loading" }, ...empty(t("loading")));
     this.element = h("div", { class: "report-page" }, this.form, this.sheet);
     this.#load();
   }
@@ -63,7 +63,7 @@ export class ReportPage {
       await this.#build();
     } catch (error) {
       if (!(error instanceof TypeError && /fetch/i.test(error.message))) throw error; // a mistake in the page
-      this.sheet.replaceChildren(...empty("cannot-reach-spandrel-retrying"));
+      this.sheet.replaceChildren(...empty(t("cannot-reach-spandrel-retrying")));
       setTimeout(() => this.#isOpen && this.#load(), 2000);
     }
   }
@@ -80,7 +80,7 @@ export class ReportPage {
     this.newest_s = newest.length > 0 ? Math.max(...newest) : null;
     if (this.newest_s === null) {
       this.sheet.dataset.state = "complete";
-      return this.sheet.replaceChildren(...empty("no-data-yet-there-is-nothing-to"));
+      return this.sheet.replaceChildren(...empty(t("no-data-yet-there-is-nothing-to")));
     }
     // A record without dates starts at 0.
     const start = (length_s) => (isWithoutDate(this.newest_s) ? Math.max(0, this.newest_s - length_s) : this.newest_s - length_s);
@@ -173,9 +173,9 @@ function sentence(element, text) {
   return element;
 }
 
-/** Returns the heading of a report without contents, and the text `key` that says why. */
-function empty(key) {
-  return [h("h1", {}, t("structural-health-report")), h("p", { class: "empty" }, t(key))];
+/** Returns the heading of a report without contents, and the text that says why. */
+function empty(text) {
+  return [h("h1", {}, t("structural-health-report")), h("p", { class: "empty" }, text)];
 }
 
 /** The first page: the period, and one line per structure. */
