@@ -220,7 +220,11 @@ async fn a_machine_whose_clock_is_decades_behind_its_sensors_identifies_the_same
         found,
     );
     let status = running.drops.when_done(Service::Ingest, ROWS as u64).await;
-    assert!(status.drops.is_empty(), "{:?}", status.drops);
+    // On a busy machine, ingest may also request what is on its way. It discards the repeats.
+    let is_loss =
+        |reason: &&String| !["fetched-items", "duplicate-items"].contains(&reason.as_str());
+    let lost: Vec<_> = status.drops.keys().filter(is_loss).collect();
+    assert!(lost.is_empty(), "{:?}", status.drops);
     assert!(status.lag_s.unwrap() < -1e9, "lag {:?} s", status.lag_s);
     running.end().await;
 }

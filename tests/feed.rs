@@ -26,7 +26,7 @@ const SECOND_NS: i64 = 1_000_000_000;
 /// Samples of a packet.
 const PACKET: i64 = 25;
 /// Number of random moments at which a feed is killed.
-pub(crate) const ROUNDS: usize = 10;
+const ROUNDS: usize = 10;
 
 /// Returns a time `seconds` ago, in whole steps.
 pub(crate) fn ago(seconds: i64) -> i64 {
@@ -83,13 +83,13 @@ impl Shake {
             thread: Some(thread),
         }
     }
+}
 
-    /// Returns the number of samples per channel so far.
+impl Instrument for Shake {
     fn sent(&self) -> i64 {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Stops, and returns the number of samples per channel.
     fn stop(mut self) -> i64 {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.take().unwrap().join().unwrap();
@@ -208,7 +208,7 @@ fn of_shake(address: &str) -> String {
 }
 
 /// Adds up the reported gaps per channel, until they reach `expected`.
-pub(crate) async fn reported(events: &Subscription<Event>, expected: [u64; 2]) -> [u64; 2] {
+async fn reported(events: &Subscription<Event>, expected: [u64; 2]) -> [u64; 2] {
     let mut reported = [0; 2];
     let all = async {
         while reported != expected {
@@ -224,6 +224,43 @@ pub(crate) async fn reported(events: &Subscription<Event>, expected: [u64; 2]) -
     };
     let _ = tokio::time::timeout(Duration::from_secs(15), all).await;
     reported
+}
+
+/// An instrument that sends samples until it is stopped.
+pub(crate) trait Instrument {
+    /// Returns the number of samples per channel so far.
+    fn sent(&self) -> i64;
+    /// Stops, and returns the number of samples per channel.
+    fn stop(self) -> i64;
+}
+
+/// Kills the feed of an instrument at random moments, and checks that the reported gaps are the
+/// missing samples. Returns the last feed.
+pub(crate) async fn survive_kills(
+    seed: u64,
+    instrument: impl Instrument,
+    start: impl Fn() -> Process,
+    mut frames: Frames,
+    events: &Subscription<Event>,
+) -> Process {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    for _ in 0..ROUNDS {
+        let feed = start();
+        let more = random.random_range(200..2500);
+        frames.up_to(instrument.sent() + more).await;
+        feed.kill();
+    }
+    let feed = start();
+    frames.up_to(instrument.sent() + 500).await;
+    let sent = instrument.stop();
+    frames.up_to(sent - 1).await;
+    let missing = frames.missing();
+    assert!(
+        missing[0] > 0,
+        "no samples were sent while the feed was stopped"
+    );
+    assert_eq!(reported(events, missing).await, missing);
+    feed
 }
 
 /// Waits for a status of the feed in which a source fulfils a condition.
@@ -271,26 +308,17 @@ async fn gaps_of_a_feed_that_is_killed_at_random_moments_are_reported_to_the_sam
         .await
         .unwrap();
     let (address, t0_ns) = (free_udp(), ago(3600));
-    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let frames = Frames::follow(&bus, &site, t0_ns).await;
     let configuration = configure(&site, &of_shake(&address));
     let shake = Shake::start(address, t0_ns, Duration::from_millis(10));
-    let mut random = ChaCha8Rng::seed_from_u64(20_061);
-    for _ in 0..ROUNDS {
-        let feed = start_feed(&site, &configuration);
-        let more = random.random_range(200..2500);
-        frames.up_to(shake.sent() + more).await;
-        feed.kill();
-    }
-    let feed = start_feed(&site, &configuration);
-    frames.up_to(shake.sent() + 500).await;
-    let sent = shake.stop();
-    frames.up_to(sent - 1).await;
-    let missing = frames.missing();
-    assert!(
-        missing[0] > 0,
-        "no samples were sent while the feed was stopped"
-    );
-    assert_eq!(reported(&events, missing).await, missing);
+    let feed = survive_kills(
+        20_061,
+        shake,
+        || start_feed(&site, &configuration),
+        frames,
+        &events,
+    )
+    .await;
     feed.stop().expect_code(0);
 }
 
@@ -344,14 +372,15 @@ impl<W: Write + Send + 'static> Logger<W> {
             thread: Some(thread),
         }
     }
+}
 
-    /// Returns the number of samples so far.
-    pub(crate) fn sent(&self) -> i64 {
+impl<W> Instrument for Logger<W> {
+    fn sent(&self) -> i64 {
         self.sent.load(Ordering::Relaxed)
     }
 
     /// Stops, closes the connection, and returns the number of samples.
-    pub(crate) fn stop(mut self) -> i64 {
+    fn stop(mut self) -> i64 {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.take().unwrap().join().unwrap();
         *self.reader.lock().unwrap() = None;
@@ -386,7 +415,7 @@ async fn gaps_of_lines_over_tcp_are_reported_to_the_sample_when_the_feed_is_kill
     let address = listener.local_addr().unwrap();
     listener.set_nonblocking(true).unwrap();
     let t0_ns = ago(3600);
-    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let frames = Frames::follow(&bus, &site, t0_ns).await;
     let source = of_lines(&format!("kind = \"tcp\"\naddress = \"{address}\""));
     let configuration = configure(&site, &source);
     let logger = Logger::start(t0_ns, move |_| {
@@ -394,23 +423,14 @@ async fn gaps_of_lines_over_tcp_are_reported_to_the_sample_when_the_feed_is_kill
         stream.set_nonblocking(false).unwrap();
         Some(stream)
     });
-    let mut random = ChaCha8Rng::seed_from_u64(20_064);
-    for _ in 0..ROUNDS {
-        let feed = start_feed(&site, &configuration);
-        let more = random.random_range(200..2500);
-        frames.up_to(logger.sent() + more).await;
-        feed.kill();
-    }
-    let feed = start_feed(&site, &configuration);
-    frames.up_to(logger.sent() + 500).await;
-    let sent = logger.stop();
-    frames.up_to(sent - 1).await;
-    let missing = frames.missing();
-    assert!(
-        missing[0] > 0,
-        "no samples were sent while the feed was stopped"
-    );
-    assert_eq!(reported(&events, missing).await, missing);
+    let feed = survive_kills(
+        20_064,
+        logger,
+        || start_feed(&site, &configuration),
+        frames,
+        &events,
+    )
+    .await;
     feed.stop().expect_code(0);
 }
 
@@ -427,30 +447,21 @@ async fn gaps_of_lines_from_a_tcp_client_are_reported_to_the_sample_when_the_fee
     let address = listener.local_addr().unwrap();
     drop(listener); // the feed listens there
     let t0_ns = ago(3600);
-    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let frames = Frames::follow(&bus, &site, t0_ns).await;
     let source = of_lines(&format!("kind = \"tcp-server\"\naddress = \"{address}\""));
     let configuration = configure(&site, &source);
     let logger = Logger::start(t0_ns, move |is_connected| match is_connected {
         true => None,
         false => TcpStream::connect(address).ok(),
     });
-    let mut random = ChaCha8Rng::seed_from_u64(20_067);
-    for _ in 0..ROUNDS {
-        let feed = start_feed(&site, &configuration);
-        let more = random.random_range(200..2500);
-        frames.up_to(logger.sent() + more).await;
-        feed.kill();
-    }
-    let feed = start_feed(&site, &configuration);
-    frames.up_to(logger.sent() + 500).await;
-    let sent = logger.stop();
-    frames.up_to(sent - 1).await;
-    let missing = frames.missing();
-    assert!(
-        missing[0] > 0,
-        "no samples were sent while the feed was stopped"
-    );
-    assert_eq!(reported(&events, missing).await, missing);
+    let feed = survive_kills(
+        20_067,
+        logger,
+        || start_feed(&site, &configuration),
+        frames,
+        &events,
+    )
+    .await;
     feed.stop().expect_code(0);
 }
 
@@ -464,7 +475,7 @@ async fn gaps_of_standard_input_are_reported_to_the_sample_when_the_feed_is_kill
         .await
         .unwrap();
     let t0_ns = ago(3600);
-    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let frames = Frames::follow(&bus, &site, t0_ns).await;
     let configuration = configure(&site, &of_lines("kind = \"stdin\""));
     let (pipes, next) = std::sync::mpsc::channel();
     let logger = Logger::start(t0_ns, move |_| next.try_recv().ok());
@@ -475,23 +486,7 @@ async fn gaps_of_standard_input_are_reported_to_the_sample_when_the_feed_is_kill
         pipes.send(pipe).unwrap();
         feed
     };
-    let mut random = ChaCha8Rng::seed_from_u64(20_065);
-    for _ in 0..ROUNDS {
-        let feed = start();
-        let more = random.random_range(200..2500);
-        frames.up_to(logger.sent() + more).await;
-        feed.kill();
-    }
-    let feed = start();
-    frames.up_to(logger.sent() + 500).await;
-    let sent = logger.stop();
-    frames.up_to(sent - 1).await;
-    let missing = frames.missing();
-    assert!(
-        missing[0] > 0,
-        "no samples were sent while the feed was stopped"
-    );
-    assert_eq!(reported(&events, missing).await, missing);
+    let feed = survive_kills(20_065, logger, start, frames, &events).await;
     feed.wait().expect_code(0); // its input has ended
 }
 

@@ -1,11 +1,7 @@
 //! Instruments that publish to an MQTT broker. The broker is Mosquitto.
 
-use crate::feed::{
-    self, Frames, Logger, ROUNDS, ago, channels, reported, start_feed, start_ingest,
-};
+use crate::feed::{self, Frames, Logger, ago, channels, start_feed, start_ingest, survive_kills};
 use crate::support::{DEADLINE, HOUSE, Process, Site, skip, within};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use spandrel_bus::{
     Bus, ConditionDisplay, Delivery, Event, FrameBlock, InstrumentState, Service, Start, Status,
     Stream, TimeGrid,
@@ -222,7 +218,7 @@ async fn gaps_of_messages_are_reported_to_the_sample_when_the_feed_is_killed() {
     let events = bus.subscribe::<Event>(site.keys().event(), 256);
     let events = events.await.unwrap();
     let t0_ns = ago(3600);
-    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let frames = Frames::follow(&bus, &site, t0_ns).await;
     let kind = format!(
         "kind = \"mqtt\"\naddress = \"{}\"\ntopic = \"house/+/acc\"",
         broker.address
@@ -230,23 +226,14 @@ async fn gaps_of_messages_are_reported_to_the_sample_when_the_feed_is_killed() {
     let configuration = feed::configure(&site, &feed::of_lines(&kind));
     let mut instrument = Some(broker.instrument());
     let logger = Logger::start(t0_ns, move |_| instrument.take());
-    let mut random = ChaCha8Rng::seed_from_u64(20_068);
-    for _ in 0..ROUNDS {
-        let feed = start_feed(&site, &configuration);
-        let more = random.random_range(200..2500);
-        frames.up_to(logger.sent() + more).await;
-        feed.kill();
-    }
-    let feed = start_feed(&site, &configuration);
-    frames.up_to(logger.sent() + 500).await;
-    let sent = logger.stop();
-    frames.up_to(sent - 1).await;
-    let missing = frames.missing();
-    assert!(
-        missing[0] > 0,
-        "no samples were sent while the feed was stopped"
-    );
-    assert_eq!(reported(&events, missing).await, missing);
+    let feed = survive_kills(
+        20_068,
+        logger,
+        || start_feed(&site, &configuration),
+        frames,
+        &events,
+    )
+    .await;
     feed.stop().expect_code(0);
 }
 
