@@ -223,6 +223,33 @@ fn a_mistake_in_a_series_is_named_with_its_place_and_exit_code_2() {
     }
 }
 
+/// Regression test: numbers of hours were read as seconds, so a year was an hour of 1970.
+#[test]
+fn numbers_of_hours_are_not_read_as_seconds() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("hours.csv");
+    let series = "time,f1_hz,f2_hz,deck_celsius\n0,2.3,3.9,4.0\n1,2.3,3.9,4.5\n2,2.3,3.9,5.0\n";
+    std::fs::write(&csv, series).unwrap();
+    let output = judge(&example("footbridge.toml"), &csv, &[]);
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    for part in [
+        "hours.csv:3: column `time`",
+        "the row is 1 s after the previous one",
+        "as seconds since 1970, or in ISO 8601, such as 2025-01-01T06:00:00Z",
+    ] {
+        assert!(stderr.contains(part), "{part}\n{stderr}");
+    }
+    // The same hours in seconds are a record without dates.
+    std::fs::write(
+        &csv,
+        series.replace("\n1,", "\n3600,").replace("\n2,", "\n7200,"),
+    )
+    .unwrap();
+    let output = judge(&example("footbridge.toml"), &csv, &[]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+}
+
 #[test]
 fn a_series_without_its_thermometer_gives_no_alarm() {
     let folder = tempfile::tempdir().unwrap();

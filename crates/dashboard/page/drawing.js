@@ -3,7 +3,7 @@
 
 import { h, s, setAttribute, setText } from "./dom.js";
 import { t } from "./language.js";
-import { HEALTH, STEPS, probability, sensorName, step } from "./words.js";
+import { HEALTH, STATES, STEPS, isUndecided, probability, sensorName, step } from "./words.js";
 
 /** Size of the drawing in its own units, and width of a drawing above the table. */
 const WIDTH = 420;
@@ -76,17 +76,19 @@ export class Drawing {
     this.element = h("figure", { class: "drawing-figure", hidden: drawing.points.length === 0 }, this.svg, key(about, this.note));
   }
 
-  /** Colours the parts and marks the sensors. */
-  update({ losses, sensors }) {
+  /** Colours the parts and marks the sensors. A part without a decision has no colour. */
+  update({ losses, sensors, alerts }) {
     const found = new Map();
+    const open = new Set(alerts.filter(isUndecided).map(({ parameter }) => parameter));
     for (const part of this.#parts) {
-      const known = part.parameters.flatMap((name) => losses[name] ?? []).sort((a, b) => b.probability_of_loss - a.probability_of_loss);
+      const known = part.parameters.flatMap((name) => (open.has(name) ? [] : (losses[name] ?? []))).sort((a, b) => b.probability_of_loss - a.probability_of_loss);
       const worst = known[0]?.probability_of_loss ?? null;
-      const told = probability(worst, known[0]?.rule_credibility);
+      const isOpen = worst === null && part.parameters.some((name) => open.has(name));
+      const told = isOpen ? `${STATES.undecided.sign} ${STATES.undecided.word}` : probability(worst, known[0]?.rule_credibility);
       found.set(part.name, { worst, told });
       for (const element of [part.element, part.words]) setAttribute(element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "known";
-      setText(part.title, `${part.name}: ${part.parameters.length > 0 ? t("part-probability-of-loss", names, told) : names}`);
+      setText(part.title, `${part.name}: ${part.parameters.length === 0 ? names : isOpen ? `${names}, ${told}` : t("part-probability-of-loss", names, told)}`);
       if (part.label) {
         const isFound = worst !== null && worst >= 0.5;
         setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, told) : "");
@@ -331,6 +333,7 @@ function ground(from, to, y) {
 function key({ drawing: { sensors }, has_model: hasModel }, note) {
   const swatch = (index) => s("svg", { class: "swatch", viewBox: "0 0 22 14", "aria-hidden": "true" }, s("g", { class: "part", "data-step": index }, s("rect", { class: "fill", width: 22, height: 14 }), s("rect", { class: "hatch", width: 22, height: 14 })));
   const steps = STEPS.map((one, index) => h("li", {}, swatch(index), one.text));
+  steps.push(h("li", {}, swatch(""), `${STATES.undecided.sign} ${STATES.undecided.word}`));
   const apart = sensors.filter((sensor) => sensor.point === null).map((sensor) => sensor.channel);
   return h(
     "figcaption",

@@ -6,7 +6,7 @@ import { PlotGroup } from "./groups.js";
 import { t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, NOT_STIFFNESS, NO_RULE, SERVICES, judged, judgementWords, modeWords, place, probability, ratio, stateOf, step } from "./words.js";
+import { COLUMNS, NOT_STIFFNESS, NO_RULE, SERVICES, isUndecided, judged, judgementWords, modeWords, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -35,7 +35,11 @@ export class NowTab {
     this.noMode = h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
     const natural = h("section", { class: "card", id: "natural-frequencies", hidden: about.modes.length === 0 }, h("h2", {}, t("natural-frequencies")), h("p", { class: "group-text" }, t("frequency-with-its-95-per-cent-interval")), this.noMode, this.modes);
     this.frequencies = new PlotGroup("modes", t("natural-frequencies-over-time"), t("each-epoch-is-a-point-bands-50"));
-    this.element = h("div", {}, h("div", { class: this.drawing.isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, parts, this.drawing.isWide ? null : this.worst)), this.drawing.isWide ? this.worst : null, lasting, natural, this.frequencies.element);
+    const isWide = this.drawing.isWide;
+    // Without parts, the natural frequencies are beside the drawing.
+    const beside = about.parameters.length > 0 ? [parts, isWide ? null : this.worst] : [natural, lasting];
+    const below = about.parameters.length > 0 ? [isWide ? this.worst : null, lasting, natural] : [];
+    this.element = h("div", {}, h("div", { class: isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, beside)), below, this.frequencies.element);
   }
 
   get plots() {
@@ -68,8 +72,11 @@ export class NowTab {
       setText(part.interval, shown ? t("range", ratio(shown.interval.low), ratio(shown.interval.high)) : "–");
       const loss = standing.losses[parameter.name];
       const p = parameter.stiffness ? loss?.probability_of_loss : null;
-      setText(part.text, p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility));
-      part.bar.hidden = p === null || p === undefined;
+      const told = p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility);
+      // The number of a part without a decision is no finding, so it has no bar.
+      const isOpen = isUndecided(alert) && p != null;
+      setText(part.text, isOpen ? t("not-decided", told) : told);
+      part.bar.hidden = isOpen || p === null || p === undefined;
       part.bar.dataset.step = step(p) ?? "";
       part.bar.style.setProperty("--share", p ?? 0);
     };

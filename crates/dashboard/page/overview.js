@@ -175,12 +175,15 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
   setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)}\u00a0±\u00a0${ratio(worst.std)}` : "–");
+  const chance = probability(worst?.probability_of_loss, worst?.credibility);
   const asked = worst ? t("for-more-than", percent(worst.rule_loss, 0)) : "";
-  setText(fields.probability, worst ? probability(worst.probability_of_loss, worst.credibility) + asked : "–");
+  setText(fields.probability, worst ? (worst.undecided ? t("not-decided", chance) : chance) + asked : "–");
   const troubled = sensors.troubled.length > 0 ? t("not", sensors.troubled.join(", ")) : "";
   setText(fields.sensors, t("share", sensors.alive, sensors.total) + troubled);
+  // Natural frequencies alone have no worst part.
+  for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.has_model;
   setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
-  setText(fields.fit, structure.has_model ? fitWord(structure.fit) : t("no-model"));
+  setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
   setSentence(fields.age, structure.replayed ? t("age-measured", age(structure), time(structure.time_s)) : age(structure));

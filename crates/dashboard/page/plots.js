@@ -2,7 +2,7 @@
 
 import { t } from "./language.js";
 import { COLOURS, Plot, css, look, padded } from "./plot.js";
-import { AXES, STATES, number, percent, probability, ratio, unit } from "./words.js";
+import { AXES, STATES, isUndecided, number, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
 const HALF_WIDTHS = [
@@ -77,7 +77,9 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
         const [low, high] = [data[4][at], data[5][at]];
         if (data[1][at] === null) return t("no-data");
         const loss = known();
-        const asked = loss && parameter.stiffness && data[8][at] !== null ? t("p-loss", percent(loss.rule_loss, 0), probability(data[8][at], loss.rule_credibility)) : "";
+        const told = probability(data[8][at], loss?.rule_credibility);
+        const alert = standing()?.alerts.find((alert) => alert.parameter === parameter.name);
+        const asked = loss && parameter.stiffness && data[8][at] !== null ? t("p-loss", percent(loss.rule_loss, 0), isUndecided(alert) ? t("not-decided", told) : told) : "";
         return t("95-per-cent-to", ratio(data[1][at]), ratio(low), ratio(high), asked);
       },
       marks,

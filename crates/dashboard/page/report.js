@@ -241,7 +241,9 @@ function parameterTable(about, overview, standing, changes, series, period) {
     const [mean, std] = [means[row], stds[row]];
     const chance = series.get(`loss/${parameter.name}`)?.[4]?.at(-1);
     const loss = standing.losses[parameter.name];
-    const asked = loss && parameter.stiffness && chance != null ? t("probability-for-more-than", probability(chance, loss.rule_credibility), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
+    const isOpen = words === `${STATES.undecided.sign} ${STATES.undecided.word}`;
+    const toldOf = (text) => (isOpen ? t("not-decided", text) : text);
+    const asked = loss && parameter.stiffness && chance != null ? t("probability-for-more-than", toldOf(probability(chance, loss.rule_credibility)), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
     const texts = row < 0 ? [t("no-estimate"), "–"] : [`${ratio(mean)} ± ${ratio(std)}`, t("range", ratio(mean - HALF_95 * std), ratio(mean + HALF_95 * std))];
     return { level, cells: [parameter.name, words, ...texts, asked] };
   });

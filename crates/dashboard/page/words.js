@@ -113,6 +113,11 @@ export function stateOf(alert) {
   return { sign, word, level: levelOf(alert) };
 }
 
+/** Returns whether the alert of a part has no decision, so that its probability of loss means nothing yet. */
+export function isUndecided(alert) {
+  return alert?.state === "undecided";
+}
+
 /** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);

@@ -88,6 +88,8 @@ pub(crate) struct Worst {
     pub(crate) loss: f64,
     pub(crate) mean: f64,
     pub(crate) std: f64,
+    /// Whether the alert of the parameter has no decision, for example because of the fit.
+    pub(crate) undecided: bool,
 }
 
 /// Number of channels, and of channels that work.
@@ -193,6 +195,8 @@ pub(crate) fn overview(store: &Store) -> Overview {
         loss: display.loss,
         mean: estimate.mean,
         std: estimate.std,
+        undecided: alerts_in(store, AlertState::Undecided)
+            .any(|alert| alert.parameter == display.parameter),
     });
     let last_alert = store.changes.front().map(|alert| LastAlert {
         parameter: alert.parameter.to_string(),

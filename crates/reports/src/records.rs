@@ -8,7 +8,7 @@
 use crate::cutting::{About, Recorded};
 use crate::maker::MadeReport;
 use crate::name::{report_name, stem};
-use spandrel_bus::Name;
+use spandrel_bus::{Name, is_without_date};
 use spandrel_checkpoint::sync_name;
 use spandrel_record::{CsvWriter, RecordError};
 use std::fs::{DirBuilder, File};
@@ -25,10 +25,19 @@ const REMAINING: f64 = 0.9;
 /// Reason why a recording or a report is not kept.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum KeepError {
-    #[error(transparent)]
-    Record(#[from] RecordError),
+    #[error("{source}{}", cause(.source))]
+    Record {
+        #[from]
+        source: RecordError,
+    },
     #[error("cannot write {}: {source}", path.display())]
     Write { path: PathBuf, source: io::Error },
+}
+
+/// Returns the cause of an error, such as a full disk, as the end of its text.
+fn cause(error: &RecordError) -> String {
+    let cause = std::error::Error::source(error);
+    cause.map_or_else(String::new, |cause| format!(": {cause}"))
 }
 
 /// A recording that is kept.
@@ -69,24 +78,52 @@ impl Records {
 
     /// Keeps a recording. A repetition after a crash replaces it.
     pub(crate) fn keep(&self, recorded: &Recorded) -> Result<Kept, KeepError> {
-        let stem = stem(recorded.about.start_ns);
-        let about = serde_json::to_vec(&recorded.about).map_err(|error| KeepError::Write {
-            path: self.about(&stem),
-            source: error.into(),
-        })?;
-        self.write(&self.about(&stem), &about)?;
-        let path = self.record(&stem);
-        let part = path.with_extension("part");
+        let part = self.record(&stem(recorded.about.start_ns));
+        let part = part.with_extension("csv.part");
         let written = self.write_rows(&part, recorded);
-        let renamed = written.and_then(|()| settle(&part, &path));
-        if renamed.is_err() {
+        let kept = written.and_then(|()| self.settle_record(&part, &recorded.about));
+        if kept.is_err() {
             // What was written of it must not fill the disk.
             let _ = std::fs::remove_file(&part);
         }
-        renamed.map(|()| Kept {
+        kept
+    }
+
+    /// Gives the written rows of a recording their name.
+    fn settle_record(&self, part: &Path, about: &About) -> Result<Kept, KeepError> {
+        let stem = self.stem(about.start_ns, part);
+        let json = serde_json::to_vec(about).map_err(|error| KeepError::Write {
+            path: self.about(&stem),
+            source: error.into(),
+        })?;
+        self.write(&self.about(&stem), &json)?;
+        settle(part, &self.record(&stem))?;
+        Ok(Kept {
             stem,
-            about: recorded.about.clone(),
+            about: about.clone(),
         })
+    }
+
+    /// Returns the name of a recording whose rows are in `part`. Records without dates begin at the
+    /// same time, so a recording of another one has a number, as in `1970-01-01T00-00-10Z-2`.
+    fn stem(&self, start_ns: i64, part: &Path) -> String {
+        let first = stem(start_ns);
+        let numbered = (2..).map(|number| format!("{first}-{number}"));
+        let is_same = |stem: &String| match (std::fs::read(self.record(stem)), std::fs::read(part))
+        {
+            (Ok(kept), Ok(new)) => kept == new,
+            _ => !self.has(stem),
+        };
+        let mut all = std::iter::once(first.clone()).chain(numbered);
+        match is_without_date(start_ns) {
+            true => all.find(is_same).unwrap_or(first),
+            false => first,
+        }
+    }
+
+    /// Returns `true` if a recording of this name is kept.
+    pub(crate) fn has(&self, stem: &str) -> bool {
+        self.record(stem).exists()
     }
 
     fn write_rows(&self, part: &Path, recorded: &Recorded) -> Result<(), KeepError> {
@@ -136,7 +173,8 @@ impl Records {
                 });
             }
         }
-        all.sort_by_key(|kept: &Kept| kept.about.start_ns);
+        // The number of a recording without a date decides between equal times.
+        all.sort_by_key(|kept: &Kept| (kept.about.start_ns, kept.stem.len(), kept.stem.clone()));
         Ok(all)
     }
 
@@ -260,6 +298,44 @@ mod tests {
         assert_eq!(records.page(&Name::new("index").unwrap()), None);
         let text = std::fs::read_to_string(records.record(&first.stem)).unwrap();
         assert_eq!(text.lines().nth(1), Some("1000000,0.5,"), "{text}");
+    }
+
+    /// Regression test: the second of two records without dates replaced the recording of the first,
+    /// and was not reported.
+    #[test]
+    fn records_without_dates_have_their_own_names_and_a_repetition_keeps_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let records = records(folder.path());
+        let first = recorded(10);
+        let mut second = first.clone();
+        second.rows[1].1[0] = 0.25;
+        let mut third = first.clone();
+        third.rows[1].1[0] = 0.75;
+        let stems = [&first, &second, &second, &third, &first]
+            .map(|recorded| records.keep(recorded).unwrap().stem);
+        let stem = "1970-01-01T00-00-10Z";
+        let [numbered, last] = [2, 3].map(|number| format!("{stem}-{number}"));
+        assert_eq!(stems, [stem, &numbered, &numbered, &last, stem]);
+        let listed = records.list().unwrap().into_iter().map(|kept| kept.stem);
+        assert_eq!(listed.collect::<Vec<_>>(), [stem, &numbered, &last]);
+        records.put(&numbered, &made()).unwrap();
+        assert!(!records.is_reported(stem) && !records.is_reported(&last));
+        assert!(records.page(&report_name(&numbered).unwrap()).is_some());
+    }
+
+    /// A restart from a checkpoint may end a recording elsewhere. Its date is its name.
+    #[test]
+    fn a_repetition_of_a_recording_with_a_date_replaces_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let records = records(folder.path());
+        let first = recorded(1_000_000_000);
+        let mut shorter = first.clone();
+        shorter.rows.pop();
+        let kept = [&first, &shorter].map(|recorded| records.keep(recorded).unwrap());
+        assert_eq!(kept[0], kept[1]);
+        assert_eq!(records.list().unwrap().len(), 1);
+        let text = std::fs::read_to_string(records.record(&kept[0].stem)).unwrap();
+        assert_eq!(text.lines().count(), 3, "{text}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::name::{date, duration, stem, waiting_for_samples};
 use crate::records::{Kept, Records};
 use spandrel_bus::{
     BoxedFuture, Delivery, Event, EventKind, FrameBlock, KeyFamily, Keys, LiveToken, Question,
-    Questions, ReportPage, Service, Stream, parse_key,
+    Questions, ReportPage, Service, Stream, is_without_date, parse_key,
 };
 use spandrel_earthquake::{Detection, DetectionSettings};
 use spandrel_service::{
@@ -247,14 +247,22 @@ impl ReportsService {
         for output in outputs {
             match output {
                 CutOutput::Began { start_ns, time_ns } => {
-                    let report = stem(start_ns).to_lowercase();
-                    let path = ReportPage::path(self.keys.structure().as_str(), &report);
+                    let stem = stem(start_ns);
+                    let report = stem.to_lowercase();
+                    // Only the complete recording of a record without dates shows whether it is new.
+                    let path = match is_without_date(start_ns) && self.records.has(&stem) {
+                        true => String::new(),
+                        false => {
+                            let structure = self.keys.structure().as_str();
+                            format!(": {}", ReportPage::path(structure, &report))
+                        }
+                    };
                     let event = Event {
                         kind: EventKind::Earthquake,
                         time_ns,
                         subject: report,
                         what: "earthquake begins".to_owned(),
-                        why: format!("a report follows within a minute after it: {path}"),
+                        why: format!("a report follows within a minute after it{path}"),
                         structure: self.keys.structure().clone(),
                     };
                     self.events.put(&event).await?;

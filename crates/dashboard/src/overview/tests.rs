@@ -553,6 +553,10 @@ fn undecided_alerts_warn_where_something_is_wrong_and_not_where_little_is_learnt
             (level, "storey-2 is undecided"),
             "{because:?}"
         );
+        // The worst part has a decision until its own alert is undecided.
+        assert!(!found.worst.unwrap().undecided);
+        store.handle(undecided("storey-1", AlertState::Undecided, because));
+        assert!(overview(&store).worst.unwrap().undecided);
     }
 }
 

@@ -6,6 +6,7 @@ use crate::cli::JudgeArguments;
 use crate::error::AppError;
 use crate::judge_report::{DayLine, Summary, course_csv, report_text};
 use crate::services::Share;
+use spandrel_bus::is_without_date;
 use spandrel_judge::{Epoch, Judge};
 use spandrel_judging::{new_reference, read_annotations};
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordError, RecordReader};
@@ -107,6 +108,7 @@ fn read_series(
     let mapping = ColumnMapping::new(mapping).with_time_column(&plan.time_column);
     let mut reader = CsvReader::open(path, &mapping)?;
     let quantities = plan.settings.quantities.len();
+    let mut previous_ns = None;
     while let Some(row) = reader.next_row()? {
         let value = |value: &f64| (!value.is_nan()).then_some(*value);
         let (measured, conditions) = row.values.split_at(quantities);
@@ -115,7 +117,8 @@ fn read_series(
             quantities: measured.iter().map(value).collect(),
             conditions: conditions.iter().map(value).collect(),
         };
-        let line = reader.line();
+        let (time_ns, line) = (row.time_ns, reader.line());
+        check_time(path, plan, line, previous_ns.replace(time_ns), time_ns)?;
         check_row(path, plan, line, &epoch)?;
         handle(epoch).map_err(|source| AppError::Epoch {
             path: path.to_owned(),
@@ -124,6 +127,34 @@ fn read_series(
         })?;
     }
     Ok(())
+}
+
+/// Rejects numbers that are not seconds, such as numbers of hours. Read as seconds, they are in 1970
+/// and closer together than epochs.
+fn check_time(
+    path: &Path,
+    plan: &JudgePlan,
+    line: u64,
+    previous_ns: Option<i64>,
+    time_ns: i64,
+) -> Result<(), AppError> {
+    let step_s = previous_ns.map(|previous_ns| (time_ns - previous_ns) as f64 * 1e-9);
+    let epoch_s = plan.epoch_s;
+    match step_s {
+        Some(step_s) if is_without_date(time_ns) && step_s < f64::from(epoch_s) => {
+            Err(AppError::SeriesValue {
+                path: path.to_owned(),
+                line,
+                column: plan.time_column.clone(),
+                what: format!(
+                    "read as seconds since 1970, the row is {step_s} s after the previous one, must be \
+                     at least judge.epoch-s, {epoch_s} s; write a time as seconds since 1970, or in \
+                     ISO 8601, such as 2025-01-01T06:00:00Z"
+                ),
+            })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Rejects a value that its column cannot have. Offline, a wrong unit is a mistake in the file, and

@@ -128,7 +128,7 @@ fn later_first(a: &Entry, b: &Entry) -> Ordering {
 pub fn html(entries: &[Entry], waiting: &[String]) -> String {
     let mut page = head("Earthquake reports");
     page += "<header>\n<p class=\"kicker\">Earthquake reports</p>\n<h1>Who needs an inspector first</h1>\n\
-             </header>\n<section>\n<table class=\"list\">\n<thead><tr><th scope=\"col\"></th>\
+             </header>\n<section>\n<table class=\"list\">\n<thead><tr><th scope=\"col\">urgency</th>\
              <th scope=\"col\">structure</th><th scope=\"col\">event</th>\
              <th scope=\"col\">result</th><th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n\
              <tbody>\n";
@@ -143,7 +143,7 @@ pub fn html(entries: &[Entry], waiting: &[String]) -> String {
              structure. The most urgent structure is first, then the one with the largest \
              acceleration.</p>\n</section>\n\
              <section>\n<h2>All events, the latest first</h2>\n<table class=\"list\">\n<thead><tr>\
-             <th scope=\"col\"></th><th scope=\"col\">structure</th><th scope=\"col\">event</th>\
+             <th scope=\"col\">urgency</th><th scope=\"col\">structure</th><th scope=\"col\">event</th>\
              <th scope=\"col\">result at that time</th>\
              <th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n<tbody>\n";
     let mut all: Vec<&Entry> = entries.iter().collect();
@@ -163,7 +163,7 @@ pub fn html(entries: &[Entry], waiting: &[String]) -> String {
         }
         page += "</ul>\n</section>\n";
     }
-    page + "</body>\n</html>\n"
+    page + "</main>\n</body>\n</html>\n"
 }
 
 /// Returns a row of a list. `latest` is a later, less urgent report of the same structure.

@@ -32,7 +32,7 @@ pub fn head(title: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n",
+         <title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n",
         escape(title)
     )
 }
@@ -95,7 +95,7 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>], occasion: &str) -> Stri
         }
     }
     page += &basis(report);
-    page += "</body>\n</html>\n";
+    page += "</main>\n</body>\n</html>\n";
     page
 }
 
