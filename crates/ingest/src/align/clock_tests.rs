@@ -303,3 +303,26 @@ fn nodes_that_catch_up_together_stay_in_one_run_beside_a_clock_that_is_ahead() {
         assert_eq!(site.check(30, &[0, 1], &format!("{off_s} s")), 0);
     }
 }
+
+// Their time became a deadline in the future, so that frames never waited for the other nodes again.
+#[test]
+fn clocks_that_are_ahead_for_a_moment_leave_no_deadline_in_the_future() {
+    for (ahead_s, off_s) in [(1, 400 * 86_400), (1, 600), (5, 400 * 86_400), (5, 600)] {
+        let mut site = Site::new(3);
+        site.run(10, &[(0, 0), (1, 0), (2, 0)]);
+        // The first block of node 0 is dropped, and the other two move the majority.
+        let steps = site.steps();
+        (0..3).for_each(|node| site.deliver(node, steps, off_s));
+        site.wait(Duration::from_secs(ahead_s));
+        site.run(12, &[(0, 0), (1, 0), (2, 0)]);
+        // One node delivers half a second later than the others.
+        for _ in 0..100 {
+            let steps = site.steps();
+            site.deliver(0, steps, 0);
+            site.deliver(1, steps, 0);
+            site.deliver(2, steps - 50, 0);
+            site.wait(BLOCK);
+        }
+        site.check(7, &[0, 1, 2], &format!("{off_s} s ahead for {ahead_s} s"));
+    }
+}
