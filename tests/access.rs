@@ -516,11 +516,12 @@ async fn the_router_accepts_only_valid_certificates_of_its_authority() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_router_logs_refused_certificates_and_messages() {
     const MANY: usize = 100;
+    const HANDSHAKES: usize = 10;
     let site = Secured::new(&five_storeys(), &["viewer.ada", "operator.grace"]);
     let router = site.router();
     let authority = site.folder().join("authority.pem");
     let foreign = of_another_authority(&site);
-    for _ in 0..2 {
+    for _ in 0..HANDSHAKES {
         assert!(!connects(site.endpoint(), Some(&foreign), &authority).await);
     }
     router.wait_for_log("refused what=\"bus-handshake\"");
@@ -552,6 +553,22 @@ async fn the_router_logs_refused_certificates_and_messages() {
     let lines = log.lines().filter(|line| line.contains("refused what="));
     let lines: Vec<&str> = lines.collect();
     assert!(lines.len() <= 20, "{} lines\n{log}", lines.len());
+    // A router has no metrics. Its lines account for every refusal.
+    let counted = |what: &str, who: &str| {
+        let of_kind = lines
+            .iter()
+            .filter(|line| line.contains(what) && line.contains(who));
+        let times = of_kind.filter_map(|line| line.rsplit_once("times="));
+        times
+            .map(|(_, times)| times.trim().parse::<usize>().unwrap())
+            .sum::<usize>()
+    };
+    // A client may try more than once to connect.
+    assert!(counted("what=\"bus-handshake\"", "") >= HANDSHAKES, "{log}");
+    assert!(
+        counted("what=\"bus-right\"", "viewer.ada") >= 2 * MANY,
+        "{log}"
+    );
     let of_grace = |line: &&&str| line.contains("operator.grace") && line.contains("Put");
     assert_eq!(lines.iter().find(of_grace), None);
 }

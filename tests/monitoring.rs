@@ -1,10 +1,13 @@
 //! The monitoring state of a structure whose samples are dropped, or whose sensors fall silent.
 
-use crate::support::{Process, Site, storeys, within};
+use crate::support::{DEADLINE, Drops, Process, Site, storeys, within};
 use spandrel_bus::{
-    Event, EventKind, MonitoringDisplay, MonitoringState, Service, Status, Subscription,
+    Delivery, Event, EventKind, FrameBlock, MonitoringDisplay, MonitoringState, Name, Pace,
+    SampleBlock, Service, Start, Status, StreamSettings, Subscription,
 };
 use std::process::Command;
+use std::time::Duration;
+use tokio::time::Instant;
 
 /// Rules and a half-life with which alerts are decided after some seconds.
 const RULES: &str = r#"
@@ -82,6 +85,62 @@ async fn live_samples_after_a_simulation_are_used() {
     .await;
     for reason in ["late-samples", "duplicate-samples"] {
         assert_eq!(drops.get(reason), None, "{drops:?}");
+    }
+}
+
+// 9,520 samples were dropped in 24 s.
+#[tokio::test(flavor = "multi_thread")]
+async fn live_samples_after_a_simulation_ahead_of_the_clock_begin_a_new_run_within_a_second() {
+    for is_killed in [false, true] {
+        let site = Site::with(&storeys(2, RULES));
+        let _services = site.run();
+        let (bus, keys) = (site.join().await, site.keys());
+        let drops = Drops::watch(&bus, &keys).await;
+        let mut simulation = site.connecting("simulate");
+        simulation.args(["--duration", "60", "--speed", "10"]);
+        let started = Instant::now();
+        let simulation = Process::start(&mut simulation);
+        drops.when_done(Service::Ingest, 5000).await;
+        match is_killed {
+            true => simulation.kill(),
+            false => {
+                simulation.wait().expect_code(0);
+            }
+        }
+        let ground = Name::new("ground").unwrap();
+        let samples = bus.subscribe::<SampleBlock>(keys.samples(&ground), 256);
+        let samples = samples.await.unwrap();
+        let from_now = StreamSettings::new(Start::Now);
+        let frames = bus.follow::<FrameBlock>(keys.frames(), keys.recording(), from_now);
+        let frames = frames.await.unwrap();
+        let former = bus.stream_position(&keys.recording(), DEADLINE).await;
+        let former = former.expect("frames of the simulation").header;
+        let _live = Process::start(&mut live(&site, &[]));
+        let first = within("a live sample", async {
+            loop {
+                let (_, block) = samples.messages().recv_async().await.unwrap();
+                if block.pace == Pace::Live {
+                    return block;
+                }
+            }
+        })
+        .await;
+        // The simulation has measured 50 s.
+        let elapsed = started.elapsed();
+        assert!(elapsed < Duration::from_secs(45), "not ahead: {elapsed:?}");
+        let run = within("a new run", async {
+            loop {
+                let delivery = frames.deliveries().recv_async().await.unwrap();
+                if let Delivery::Block(block) = delivery
+                    && block.header.epoch > former.epoch
+                {
+                    return block;
+                }
+            }
+        })
+        .await;
+        let lost_s = (run.t0_ns - first.header.time_ns) as f64 * 1e-9;
+        assert!(lost_s < 1.0, "{lost_s} s lost, killed: {is_killed}");
     }
 }
 

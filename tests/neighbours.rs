@@ -2,11 +2,12 @@
 //! small.
 
 use crate::support::{
-    DEADLINE, Drops, Process, Sensors, Site, five_storeys, put_raw, spandrel, two_storeys,
+    DEADLINE, Drops, Process, Sensors, Site, five_storeys, put_raw, spandrel, two_storeys, within,
 };
-use spandrel_bus::{Bus, BusConfig, Mode, Name, Service};
+use spandrel_bus::{Bus, BusConfig, Mode, Name, Service, Status};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
 
 /// Starts all services with a page, and returns the address of the page.
 fn with_page(site: &Site, arguments: &[&str]) -> (Process, String) {
@@ -180,11 +181,15 @@ async fn malformed_queries_are_counted_and_hardly_logged() {
 async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     const READERS: usize = 20;
     const DURATION_S: usize = 40;
+    // Two frozen subscribers delayed alerts by 10 s. Frames may wait 2 s for late samples.
+    const MOST_LAG_S: f64 = 5.0;
     let site = Site::of(&five_storeys());
-    let (services, _) = with_page(&site, &[]);
+    let (services, page) = with_page(&site, &[]);
     let bus = site.join().await;
     site.wait_for_services(&bus).await;
     let drops = Drops::watch(&bus, &site.keys()).await;
+    let of_alert = site.keys().statuses(Service::Alert);
+    let of_alert = bus.subscribe::<Status>(of_alert, 256).await.unwrap();
     let mut simulation = site.connecting("simulate");
     simulation.args(["--live", "--duration", &DURATION_S.to_string()]);
     let simulation = Process::start(&mut simulation);
@@ -198,8 +203,9 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     for reader in &readers {
         reader.wait_for_output("values", |said| said.contains("storey-1"));
     }
+    while of_alert.messages().try_iter().next().is_some() {}
     readers.iter().for_each(Process::freeze);
-    services.wait_for_log("refused what=\"bus-reader\"");
+    services.wait_for_log("refused what=\"bus-reader\" who=\"tcp/127.0.0.1:");
     simulation.wait().expect_code(0);
     // The first frame is the first instant of all six nodes.
     let frames = 100 * DURATION_S as u64 - 50;
@@ -209,6 +215,15 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
         assert_eq!(ingest.get(reason), None, "{ingest:?}");
         assert_eq!(identify.drops.get(reason), None, "{:?}", identify.drops);
     }
+    let statuses = of_alert.messages().try_iter();
+    let lags_s: Vec<f64> = statuses.filter_map(|(_, status)| status.lag_s).collect();
+    let most_s = lags_s.iter().copied().fold(0.0, f64::max);
+    assert!(
+        lags_s.len() > 5 && most_s < MOST_LAG_S,
+        "alert lags behind the measurement by {most_s} s, of {lags_s:?}"
+    );
+    let metrics = get(&page, "/metrics", "");
+    assert!(refused(&metrics, "bus-reader") >= 1, "{metrics}");
     readers.into_iter().for_each(Process::kill);
     services.stop().expect_code(0);
 }
@@ -218,6 +233,7 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_isolated_run_accepts_samples_but_no_forged_results() {
     const ROWS: usize = 400;
+    const MANY: usize = 100;
     let site = Site::with(&two_storeys(""));
     let keys = site.keys();
     let configuration = site.folder().join("spandrel.toml");
@@ -235,12 +251,24 @@ async fn an_isolated_run_accepts_samples_but_no_forged_results() {
     let drops = Drops::watch(&viewer, &keys).await;
     let alert = keys.alert(&Name::new("storey-1").unwrap());
     let alerts = viewer.session().declare_subscriber(&alert).await.unwrap();
-    for key in [&keys.frames(), &keys.estimates(), &alert] {
+    let forged = [keys.frames(), keys.estimates(), alert.clone()];
+    for key in &forged {
         put_raw(&forger, key, "application/json", b"{}".to_vec()).await;
         services.wait_for_log(&format!("why=\"Put on {key}\""));
     }
-    let metrics = get(&page, "/metrics", "");
-    assert!(refused(&metrics, "bus-right") >= 3, "{metrics}");
+    for number in 3..MANY {
+        let key = &forged[number % forged.len()];
+        put_raw(&forger, key, "application/json", b"{}".to_vec()).await;
+    }
+    let all_counted = || refused(&get(&page, "/metrics", ""), "bus-right") >= MANY as u64;
+    within(&format!("{MANY} refused messages in the metrics"), async {
+        while !all_counted() {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    })
+    .await;
+    let lines = services.log().matches("refused what=").count();
+    assert!(lines <= 20, "{lines} lines about {MANY} messages");
     let record = site.simulate(ROWS as f64 / 100.0);
     let mut sensors = Sensors::start(&forger, &keys, site.structure(), &record).await;
     sensors.put(0..ROWS).await;

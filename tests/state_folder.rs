@@ -1,8 +1,14 @@
 //! The folder of the state: who may read it, and what happens when it disappears or cannot be used.
 
-use crate::support::{DEADLINE, Drops, Process, Sensors, Site, SmallDisk, two_storeys, within};
-use spandrel_bus::{Bus, Event, EventKind, HistorySpan, Name, Service, Subscription};
-use std::os::unix::fs::MetadataExt as _;
+use crate::support::{
+    DEADLINE, Drops, Node, Process, Sensors, Site, SmallDisk, put_raw, two_storeys, within,
+};
+use spandrel_bus::{
+    Block as _, Bus, Delivery, Event, EventKind, FrameBlock, HistorySpan, Message as _, Name,
+    SampleBlock, Service, Start, StreamSettings, Subscription,
+};
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -274,6 +280,162 @@ async fn a_history_on_a_read_only_disk_waits_and_monitoring_starts() {
     );
     bus.close().await.unwrap();
     services.stop().expect_code(0);
+}
+
+/// How a state folder cannot be written at the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Unwritable {
+    ReadOnlyDisk,
+    NoPermission,
+}
+
+/// Regression: `run` ended with code 1, so that nothing was monitored.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_state_folder_that_cannot_be_written_at_the_start_only_delays_what_is_stored() {
+    for how in [Unwritable::ReadOnlyDisk, Unwritable::NoPermission] {
+        let site = Site::with(&two_storeys(""));
+        let disk = site.folder().join("disk");
+        let state = disk.join("state");
+        std::fs::create_dir(&disk).unwrap();
+        let Some(_mounted) = SmallDisk::or_skip(&disk, "20m") else {
+            return;
+        };
+        std::fs::create_dir(&state).unwrap();
+        let mut command = run_with_state(&site, &state);
+        match how {
+            Unwritable::ReadOnlyDisk => remount(&disk, "ro"),
+            Unwritable::NoPermission => {
+                // Who may mount may also write anywhere.
+                for folder in [site.folder(), &disk, &state] {
+                    set_mode(folder, 0o555);
+                }
+                command.uid(NOBODY).gid(NOBODY);
+            }
+        }
+        let services = Process::start(&mut command);
+        services.wait_for_log("ready structures=1");
+        let bus = site.join().await;
+        site.wait_for_services(&bus).await;
+        let drops = Drops::watch(&bus, &site.keys()).await;
+        let events = bus.subscribe(site.keys().event(), 256).await.unwrap();
+        let record = site.simulate(20.0);
+        site.replay(&record, "max").wait().expect_code(0);
+        drops.when_done(Service::Alert, 2000).await;
+        let waiting = "frames-waiting-for-the-disk";
+        drops.expect(Service::Ingest, waiting, 2000).await;
+        drops.expect(Service::History, "failed-writes", 2).await;
+        match how {
+            Unwritable::ReadOnlyDisk => remount(&disk, "rw"),
+            Unwritable::NoPermission => set_mode(&state, 0o777),
+        }
+        all_events(&events, &[EventKind::StateBack, EventKind::HistoryBack]).await;
+        stored_until(&bus, &site, 19.0).await;
+        bus.close().await.unwrap();
+        services.stop().expect_code(0);
+        let recorded = recorded(&site, &state);
+        assert_eq!(recorded.len(), 2000, "{how:?}");
+        let has_checkpoint = |path: &PathBuf| path.extension().is_some_and(|e| e == "checkpoint");
+        assert!(files(&state).iter().any(has_checkpoint), "{how:?}");
+    }
+}
+
+/// User and group without rights.
+const NOBODY: u32 = 65_534;
+
+fn set_mode(path: &Path, mode: u32) {
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).unwrap();
+}
+
+/// Epoch of a second program under the name of a node.
+const LATER_EPOCH: u64 = 30 * 86_400 * 1_000_000_000;
+
+// The documentation describes this procedure (Epochs of the future).
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_ends_a_lockout_by_renaming_the_recording() {
+    for is_renamed in [false, true] {
+        let site = Site::with(&two_storeys(""));
+        let state = site.folder().join("state");
+        let (bus, keys) = (site.host().await, site.keys());
+        run_with_state(&site, &state); // for its configuration
+        let start = || {
+            let mut command = site.connecting("run");
+            command
+                .arg("--config")
+                .arg(site.folder().join("spandrel.toml"));
+            let services = Process::start(command.args(["--http", "none"]));
+            services.wait_for_log("ready structures=1");
+            services
+        };
+        let services = start();
+        site.wait_for_services(&bus).await;
+        let drops = Drops::watch(&bus, &keys).await;
+        let record = site.simulate(30.0);
+        let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+        put_slowly(&mut sensors, 0..1000).await;
+        // The node itself stores nothing, so that nobody contradicts the second program.
+        let node = sensors.remove("roof");
+        let (channels, name, key) = (
+            node.channels().to_vec(),
+            node.name.clone(),
+            node.key.clone(),
+        );
+        let mut block = node.block(&record, 2000..2050);
+        drop(node);
+        let elsewhere = site.join().await;
+        let second = Node::start(&elsewhere, &keys, name, channels, LATER_EPOCH).await;
+        sensors.add(second);
+        put_slowly(&mut sensors, 1000..2000).await;
+        drops.when_done(Service::Identify, 1900).await;
+        drop(sensors.remove("roof"));
+        elsewhere.close().await.unwrap();
+        services.stop().expect_code(0);
+
+        let recording = files(&state)
+            .into_iter()
+            .find(|path| path.ends_with("recording"));
+        let recording = recording.unwrap();
+        if is_renamed {
+            std::fs::rename(&recording, recording.with_extension("before")).unwrap();
+        }
+        let services = start();
+        site.wait_for_services(&bus).await;
+        let drops = Drops::watch(&bus, &keys).await;
+        let from_now = StreamSettings::new(Start::Now);
+        let frames = bus.follow::<FrameBlock>(keys.frames(), keys.recording(), from_now);
+        let frames = frames.await.unwrap();
+        // Fewer blocks than those after which the node is read again by itself.
+        for row in (2000..2250).step_by(50) {
+            sensors.put(row..row + 50).await;
+            block.header.time_ns = record.time_ns(row);
+            let payload = block.encode().unwrap();
+            put_raw(&bus, &key, &SampleBlock::encoding(), payload).await;
+            block.header.sequence = block.end();
+        }
+        match is_renamed {
+            true => {
+                within("frames of all nodes", async {
+                    loop {
+                        let delivery = frames.deliveries().recv_async().await.unwrap();
+                        let Delivery::Block(block) = delivery else {
+                            continue;
+                        };
+                        if block
+                            .iter()
+                            .any(|(_, frame)| frame.iter().all(|v| v.is_finite()))
+                        {
+                            return;
+                        }
+                    }
+                })
+                .await;
+            }
+            false => {
+                drops.expect(Service::Ingest, "locked-out-blocks", 3).await;
+            }
+        }
+        services.stop().expect_code(0);
+        bus.close().await.unwrap();
+    }
 }
 
 fn remount(disk: &Path, how: &str) {

@@ -61,19 +61,31 @@ pub struct Loaded<T> {
 impl Checkpoints {
     /// Opens a folder of checkpoints and creates it if it does not exist.
     ///
+    /// A folder on a read-only disk, or without permission, may become writable later. Monitoring
+    /// does not wait for that: the checkpoints are then empty.
+    ///
     /// # Errors
-    /// The folder cannot be created or read.
+    /// The folder cannot be created or read for another reason.
     pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
-        let failed = |reason| CheckpointError::Io {
-            what: "create the folder",
-            path: folder.to_owned(),
-            reason,
-        };
-        create_folder(folder).map_err(failed)?;
         let checkpoints = Self {
             folder: folder.to_owned(),
             identity,
         };
+        match create_folder(folder) {
+            Ok(()) => {}
+            Err(error) if may_become_writable(&error) => {
+                warn!(folder = %folder.display(), %error, "the folder of the checkpoints cannot be \
+                    used; a crash now would lose more results");
+                return Ok(checkpoints);
+            }
+            Err(reason) => {
+                return Err(CheckpointError::Io {
+                    what: "create the folder",
+                    path: folder.to_owned(),
+                    reason,
+                });
+            }
+        }
         // An unreadable folder must be reported at the start.
         if checkpoints.places()?.is_empty() {
             sync_name(folder);
@@ -317,6 +329,17 @@ impl Checkpoints {
             sequence: sequence.parse().ok()?,
         })
     }
+}
+
+/// Returns `true` if a file system rejected a change as read-only or not permitted. Such a folder can
+/// become usable while the program runs.
+#[must_use]
+pub fn may_become_writable(error: &io::Error) -> bool {
+    let kinds = [
+        io::ErrorKind::ReadOnlyFilesystem,
+        io::ErrorKind::PermissionDenied,
+    ];
+    kinds.contains(&error.kind())
 }
 
 fn create_folder(folder: &Path) -> io::Result<()> {

@@ -19,6 +19,8 @@ const STEADY_FOR: Duration = Duration::from_secs(1);
 const STEADY_WITHIN_NS: i64 = 250_000_000;
 /// Interval within which arrivals count as one. It bounds the memory.
 const TOGETHER: Duration = Duration::from_millis(10);
+/// Span within which late nodes that catch up together follow the first of them.
+const CAUGHT_UP_WITHIN: Duration = Duration::from_secs(1);
 /// Span for which a node must be steadily behind before its clock is blamed and not its link.
 const BEHIND_FOR: Duration = Duration::from_secs(3);
 /// Span for which the vote of a silent node counts. Nodes restart within it after a power cut.
@@ -66,6 +68,10 @@ struct Voter {
     counted_ns: Option<i64>,
     /// Since when the node is steadily behind, and its offset then (ns).
     behind_since: Option<(Duration, i64)>,
+    /// Since when the node is ahead without a jump.
+    ahead_since: Option<Duration>,
+    /// Change of the offset by the newest sample, ns; `None` before the second sample.
+    rise_ns: Option<i64>,
     is_wrong: bool,
 }
 
@@ -81,6 +87,8 @@ impl Voter {
     }
 
     fn arrived(&mut self, offset_ns: i64, now: Duration) {
+        let last = self.recent.back();
+        self.rise_ns = last.map(|(_, last_ns)| offset_ns.saturating_sub(*last_ns));
         match self.recent.back_mut() {
             Some((at, last_ns)) if now.saturating_sub(*at) < TOGETHER => {
                 // A block that arrives together with an earlier one shows the lesser delay, unless
@@ -100,12 +108,22 @@ impl Voter {
 
     /// Compares the clock with that of the majority.
     ///
-    /// No delay moves a clock ahead, so the first sample that is ahead is wrong. A node that is
-    /// behind may be late, and is judged after it has been steadily behind.
+    /// No delay moves a clock ahead, so the first sample that jumps ahead is wrong. A node that comes
+    /// ahead without a jump may be the first of late nodes that catch up, and is judged after
+    /// [`CAUGHT_UP_WITHIN`]. A node that is behind may be late, and is judged after it has been
+    /// steadily behind.
     fn compare(&mut self, majority_ns: Option<i64>, limit_ns: i64, now: Duration) {
         let ahead_ns = majority_ns.map_or(0, |majority_ns| self.ahead_of(majority_ns));
+        if ahead_ns > limit_ns {
+            let since = *self.ahead_since.get_or_insert(now);
+            let has_jumped = self.rise_ns.is_none_or(|rise_ns| rise_ns > limit_ns);
+            self.is_wrong |= has_jumped || now.saturating_sub(since) >= CAUGHT_UP_WITHIN;
+            self.behind_since = None;
+            return;
+        }
+        self.ahead_since = None;
         if ahead_ns >= -limit_ns {
-            self.is_wrong = ahead_ns > limit_ns;
+            self.is_wrong = false;
             self.behind_since = None;
             return;
         }
@@ -175,8 +193,8 @@ impl ClockVote {
         }
     }
 
-    /// Replaces the votes of the nodes if more than half of them are ahead of the majority and agree.
-    /// Returns `true` if they are.
+    /// Replaces the votes of the nodes that are ahead of the majority and agree, if they are more than
+    /// half of the nodes. Returns `true` if they are.
     ///
     /// No delay moves a clock ahead. The votes came from a time in which all nodes were late.
     fn move_ahead(&mut self, now: Duration) -> bool {
@@ -188,20 +206,24 @@ impl ClockVote {
             let is_recent = |at: Duration| now.saturating_sub(at) <= STEADY_FOR;
             voter.heard().is_some_and(is_recent) && voter.ahead_of(majority_ns) > limit_ns
         };
-        let ahead_ns = self.nodes.iter().filter(|voter| is_ahead(voter));
-        let ahead_ns = ahead_ns.map(|voter| voter.ahead_of(majority_ns));
-        let (mut count, mut least_ns, mut most_ns) = (0, i64::MAX, i64::MIN);
-        for by_ns in ahead_ns {
-            count += 1;
-            (least_ns, most_ns) = (least_ns.min(by_ns), most_ns.max(by_ns));
-        }
+        let ahead = self.nodes.iter().filter(|voter| is_ahead(voter));
+        let mut ahead_ns: Vec<i64> = ahead.map(|voter| voter.ahead_of(majority_ns)).collect();
+        ahead_ns.sort_unstable();
+        // The clock of one node may be wrong at the same time.
+        let largest = largest_group(&ahead_ns, limit_ns);
         // A declared node that has never voted takes no part.
         let takes_part = |voter: &&Voter| voter.counted_ns.is_some() || is_ahead(voter);
         let nodes = self.nodes.iter().filter(takes_part).count();
-        if count < 2 || 2 * count <= nodes || most_ns.saturating_sub(least_ns) > limit_ns {
+        let (Some(&least_ns), Some(&most_ns)) = (largest.first(), largest.last()) else {
+            return false;
+        };
+        if largest.len() < 2 || 2 * largest.len() <= nodes {
             return false;
         }
-        for voter in self.nodes.iter_mut().filter(|voter| is_ahead(voter)) {
+        let has_moved = |voter: &Voter| {
+            is_ahead(voter) && (least_ns..=most_ns).contains(&voter.ahead_of(majority_ns))
+        };
+        for voter in self.nodes.iter_mut().filter(|voter| has_moved(voter)) {
             voter.vote_ns = voter.recent.back().map(|(_, offset_ns)| *offset_ns);
         }
         true
@@ -274,14 +296,7 @@ impl ClockVote {
             .filter_map(|voter| voter.counted_ns)
             .collect();
         votes.sort_unstable();
-        let group_from = |first: usize| {
-            let group = &votes[first..];
-            let count = group.partition_point(|vote_ns| self.agree(*vote_ns, votes[first]));
-            &group[..count]
-        };
-        // Of groups of equal size, the first one counts: a majority overlaps with every other one.
-        let groups = (0..votes.len()).rev().map(group_from);
-        let largest = groups.max_by_key(|group| group.len()).unwrap_or_default();
+        let largest = largest_group(&votes, self.limit_ns);
         let is_majority = largest.len() >= 2 && 2 * largest.len() > votes.len();
         let former_ns = self
             .majority_ns
@@ -311,6 +326,19 @@ impl ClockVote {
         voter.compare(self.majority_ns, self.limit_ns, now);
         voter.is_wrong != was_wrong
     }
+}
+
+/// Returns the largest group of `sorted` values that differ by at most `limit_ns`.
+///
+/// Of groups of equal size, the first one counts: a majority overlaps with every other one.
+fn largest_group(sorted: &[i64], limit_ns: i64) -> &[i64] {
+    let group_from = |first: usize| {
+        let group = &sorted[first..];
+        let agrees = |value: &i64| value.abs_diff(sorted[first]) <= limit_ns.unsigned_abs();
+        &group[..group.partition_point(agrees)]
+    };
+    let groups = (0..sorted.len()).rev().map(group_from);
+    groups.max_by_key(|group| group.len()).unwrap_or_default()
 }
 
 /// The number of votes.
@@ -377,6 +405,14 @@ mod tests {
             let verdicts = rig.run(1.0, &slower);
             assert_eq!(verdicts, [ClockVerdict::Agrees; 3]);
         }
+    }
+
+    #[test]
+    fn clock_that_is_ahead_does_not_keep_the_others_from_becoming_prompt() {
+        let mut rig = Rig::new(3);
+        rig.run(10.0, &[(0, -20), (1, -20), (2, -20)]);
+        let verdicts = rig.run(0.5, &[(2, 3600), (0, 0), (1, 0)]);
+        assert_eq!(verdicts, [AGREES, AGREES, wrong(3600)]);
     }
 
     #[test]

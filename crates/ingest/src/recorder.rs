@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
-use spandrel_checkpoint::moment_within;
+use spandrel_checkpoint::{may_become_writable, moment_within};
 use spandrel_record::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition,
     OpenedLog, RecordError,
@@ -49,10 +49,13 @@ pub(crate) struct Past {
     pub(crate) is_whole: bool,
 }
 
+/// The reader of the recording, or `None` before the recording could be opened.
+type SharedReader = Arc<RwLock<Option<FrameLogReader>>>;
+
 /// A change of the folder of the recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum FolderChange {
-    /// The folder or its files are gone.
+    /// The folder or its files are gone, or the folder cannot be written at the start.
     Lost,
     /// The recording continues in the folder.
     Back,
@@ -65,9 +68,9 @@ pub(crate) struct Recorder {
     of: LogLayout,
     settings: RecordingSettings,
     disk: DiskThread,
-    /// `None` while the folder is lost.
+    /// `None` while the folder is lost or cannot be written.
     log: Option<FrameLog>,
-    reader: Arc<RwLock<FrameLogReader>>,
+    reader: SharedReader,
     /// Changes that are not yet reported.
     changes: Vec<FolderChange>,
     checked: Instant,
@@ -83,6 +86,8 @@ pub(crate) struct Recorder {
 
 impl Recorder {
     /// Opens the recording, and returns where it ended.
+    ///
+    /// If the folder cannot be written, frames wait in memory until it can.
     pub(crate) fn open(
         structure: &str,
         layout: &Layout,
@@ -99,25 +104,44 @@ impl Recorder {
                 .collect(),
             sampling_rate_hz: layout.sampling_rate_hz(),
         };
-        let (log, opened) = FrameLog::open(&settings.folder, of.clone(), settings.log)?;
-        log_repairs(structure, &opened);
-        let is_whole = opened.is_complete != Some(false) && (opened.was_closed || opened.same_boot);
-        let past = opened.last.map(|last| Past {
-            nodes: places(&last),
-            last: to_block(last),
-            is_whole,
+        let opened = match FrameLog::open(&settings.folder, of.clone(), settings.log) {
+            Ok(opened) => Some(opened),
+            Err(error) if may_be_opened_later(&error) => {
+                warn!(structure, %error, "the recording cannot be opened; frames stay in memory and \
+                    monitoring continues");
+                None
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let (log, opened) = opened.unzip();
+        if let Some(opened) = &opened {
+            log_repairs(structure, opened);
+        }
+        let is_noted_complete = opened.as_ref().and_then(|opened| opened.is_complete);
+        let past = opened.and_then(|opened| {
+            let is_whole =
+                opened.is_complete != Some(false) && (opened.was_closed || opened.same_boot);
+            opened.last.map(|last| Past {
+                nodes: places(&last),
+                last: to_block(last),
+                is_whole,
+            })
         });
         let recorder = Self {
             structure: structure.to_owned(),
             of,
             disk: DiskThread::start().map_err(IngestError::NoThread)?,
-            reader: Arc::new(RwLock::new(log.reader())),
-            log: Some(log),
-            changes: Vec::new(),
+            reader: Arc::new(RwLock::new(log.as_ref().map(FrameLog::reader))),
+            changes: if log.is_some() {
+                Vec::new()
+            } else {
+                vec![FolderChange::Lost]
+            },
+            refused_at: log.is_none().then(Instant::now),
+            log,
             checked: Instant::now(),
             waiting: UnrecordedFrames::default(),
-            is_noted_complete: opened.is_complete,
-            refused_at: None,
+            is_noted_complete,
             sync_every: settings.sync_every,
             synced: moment_within(settings.sync_every),
             syncing: None,
@@ -243,7 +267,7 @@ impl Recorder {
         }
         let (log, opened) = FrameLog::open(folder, self.of.clone(), self.settings.log)?;
         log_repairs(&self.structure, &opened);
-        *self.reader.write().unwrap_or_else(PoisonError::into_inner) = log.reader();
+        *self.reader.write().unwrap_or_else(PoisonError::into_inner) = Some(log.reader());
         self.is_noted_complete = opened.is_complete;
         self.log = Some(log);
         self.changes.push(FolderChange::Back);
@@ -342,6 +366,13 @@ impl Recorder {
     }
 }
 
+/// Returns `true` if the cause is a folder that may become writable while the program runs.
+fn may_be_opened_later(error: &RecordError) -> bool {
+    let source = std::error::Error::source(error);
+    let source = source.and_then(|source| source.downcast_ref::<std::io::Error>());
+    source.is_some_and(may_become_writable)
+}
+
 fn log_repairs(structure: &str, opened: &OpenedLog) {
     if opened.torn_bytes > 0 {
         warn!(
@@ -359,11 +390,11 @@ fn log_repairs(structure: &str, opened: &OpenedLog) {
 /// The archive of recorded frames, for queries that go back further than the frames in memory.
 #[derive(Debug, Clone)]
 pub(crate) struct RecordedFrames {
-    reader: Arc<RwLock<FrameLogReader>>,
+    reader: SharedReader,
 }
 
 impl RecordedFrames {
-    fn reader(&self) -> FrameLogReader {
+    fn reader(&self) -> Option<FrameLogReader> {
         let reader = self.reader.read();
         reader.unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -371,7 +402,7 @@ impl RecordedFrames {
 
 impl Archive<FrameBlock> for RecordedFrames {
     fn read(&self, epoch: u64, after: u64, limit: u64, bytes: usize) -> Option<FrameBlock> {
-        match self.reader().read(epoch, after, limit, bytes) {
+        match self.reader()?.read(epoch, after, limit, bytes) {
             Ok(frames) => frames.map(to_block),
             Err(error) => {
                 warn!(%error, "recording read failed");
@@ -381,7 +412,7 @@ impl Archive<FrameBlock> for RecordedFrames {
     }
 
     fn epoch_after(&self, epoch: u64) -> Option<u64> {
-        self.reader().next_epoch(Some(epoch))
+        self.reader()?.next_epoch(Some(epoch))
     }
 }
 

@@ -581,7 +581,7 @@ impl IngestService {
                 FolderChange::Lost => (
                     EventKind::StateLost,
                     "frames are not recorded; they wait in memory",
-                    "the folder of the recording is gone",
+                    "the folder of the recording is gone or cannot be written",
                 ),
                 FolderChange::Back => (
                     EventKind::StateBack,

@@ -120,6 +120,18 @@ struct Client {
     why: String,
 }
 
+impl Client {
+    /// Returns the line about the refusals that had no line.
+    fn summary(self, refused: Refused, who: String) -> AuditLine {
+        AuditLine {
+            refused,
+            who,
+            why: self.why,
+            times: self.held_back,
+        }
+    }
+}
+
 impl AuditLog {
     /// Counts a refusal, and appends the line to log now, if any.
     pub fn refuse(
@@ -168,18 +180,16 @@ impl AuditLog {
             (self.since, self.lines) = (now, 0);
         }
         let is_over = |client: &Client| now.saturating_sub(client.since) >= PERIOD;
-        for ((refused, who), client) in self
-            .clients
-            .extract_if(.., |_, client| is_over(client))
-            .filter(|(_, client)| client.held_back > 0)
-        {
-            lines.push(AuditLine {
-                refused,
-                who,
-                why: client.why,
-                times: client.held_back,
-            });
-        }
+        let over = self.clients.extract_if(.., |_, client| is_over(client));
+        let summed_up = over.filter(|(_, client)| client.held_back > 0);
+        lines.extend(summed_up.map(|((refused, who), client)| client.summary(refused, who)));
+    }
+
+    /// Appends the summaries of all periods, before the process ends.
+    pub fn finish(&mut self, lines: &mut Vec<AuditLine>) {
+        let clients = std::mem::take(&mut self.clients).into_iter();
+        let summed_up = clients.filter(|(_, client)| client.held_back > 0);
+        lines.extend(summed_up.map(|((refused, who), client)| client.summary(refused, who)));
     }
 
     /// Returns the number of refusals since the start, by kind.
@@ -233,6 +243,13 @@ impl Audit {
     pub fn pass(&self) {
         let mut lines = Vec::new();
         self.lock().pass(self.started.elapsed(), &mut lines);
+        lines.iter().for_each(write);
+    }
+
+    /// Logs the summaries that are not due yet. Call it before the process ends.
+    pub fn finish(&self) {
+        let mut lines = Vec::new();
+        self.lock().finish(&mut lines);
         lines.iter().for_each(write);
     }
 

@@ -28,6 +28,7 @@ mod zenoh_threads;
 
 use clap::Parser;
 use printable::escaped;
+use spandrel_service::Audit;
 use std::io::Write;
 use std::process::ExitCode;
 use tracing::warn;
@@ -53,7 +54,9 @@ fn main() -> ExitCode {
     if let Err(error) = threads {
         warn!(%error, "cannot start Zenoh with more threads; suspended subscribers delay all others");
     }
-    match commands::run(arguments.command) {
+    let ended = commands::run(arguments.command);
+    Audit::of_process().finish();
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // If standard error is closed, only the exit code reports the error.

@@ -55,11 +55,7 @@ impl Site {
         for _ in 0..10 * seconds {
             let steps = self.steps();
             for (node, off_s) in nodes {
-                let block = self.block(*node, steps, *off_s);
-                for input in self.timekeeping.arrived(*node, &block, self.now) {
-                    self.handle(input);
-                }
-                self.handle(AlignmentInput::Samples { node: *node, block });
+                self.deliver(*node, steps, *off_s);
             }
             self.wait(BLOCK);
         }
@@ -133,6 +129,32 @@ impl Site {
         rows.iter()
             .filter(|(_, row)| row.iter().all(|value| value.is_nan()))
             .count()
+    }
+
+    /// Lets nodes that are `late_s` late deliver at twice real time until they are prompt.
+    fn catch_up(&mut self, late_s: u32, late: &[usize], ahead: Option<(usize, i64)>) {
+        for number in 0..10 * i64::from(late_s) {
+            let due = self.steps();
+            let first = due - 100 * i64::from(late_s) + number * ROWS as i64;
+            for half in 0..2 {
+                let steps = first + half * ROWS as i64;
+                let late = late.iter().map(|node| (*node, steps, 0));
+                let ahead = ahead.iter().map(|(node, off_s)| (*node, due, *off_s));
+                let blocks: Vec<_> = late.chain(ahead.filter(|_| half == 0)).collect();
+                for (node, steps, off_s) in blocks {
+                    self.deliver(node, steps, off_s);
+                }
+            }
+            self.wait(BLOCK);
+        }
+    }
+
+    fn deliver(&mut self, node: usize, steps: i64, off_s: i64) {
+        let block = self.block(node, steps, off_s);
+        for input in self.timekeeping.arrived(node, &block, self.now) {
+            self.handle(input);
+        }
+        self.handle(AlignmentInput::Samples { node, block });
     }
 
     fn wrong_clocks(&self) -> Vec<Option<f64>> {
@@ -261,5 +283,46 @@ fn without_a_majority_both_clocks_are_reported_and_frames_follow_the_first() {
         );
         let rows = site.rows();
         assert!(rows.len() > 500 && rows.iter().all(|(steps, row)| row[0] == *steps as f64));
+    }
+}
+
+// The clock that was ahead kept the vote from moving with the others. All nodes were excluded, and
+// new runs began.
+#[test]
+fn nodes_that_catch_up_together_stay_in_one_run_beside_a_clock_that_is_ahead() {
+    for off_s in [3600, 30 * 86_400] {
+        let mut site = Site::new(3);
+        for _ in 0..100 {
+            let steps = site.steps() - 2000;
+            (0..3).for_each(|node| site.deliver(node, steps, 0));
+            site.wait(BLOCK);
+        }
+        site.catch_up(20, &[0, 1], Some((2, off_s)));
+        site.run(10, &[(0, 0), (1, 0), (2, off_s)]);
+        assert_eq!(site.alignment.epoch(), 1, "{off_s} s");
+        assert_eq!(site.check(30, &[0, 1], &format!("{off_s} s")), 0);
+    }
+}
+
+// Their time became a deadline in the future, so that frames never waited for the other nodes again.
+#[test]
+fn clocks_that_are_ahead_for_a_moment_leave_no_deadline_in_the_future() {
+    for (ahead_s, off_s) in [(1, 400 * 86_400), (1, 600), (5, 400 * 86_400), (5, 600)] {
+        let mut site = Site::new(3);
+        site.run(10, &[(0, 0), (1, 0), (2, 0)]);
+        // The first block of node 0 is dropped, and the other two move the majority.
+        let steps = site.steps();
+        (0..3).for_each(|node| site.deliver(node, steps, off_s));
+        site.wait(Duration::from_secs(ahead_s));
+        site.run(12, &[(0, 0), (1, 0), (2, 0)]);
+        // One node delivers half a second later than the others.
+        for _ in 0..100 {
+            let steps = site.steps();
+            site.deliver(0, steps, 0);
+            site.deliver(1, steps, 0);
+            site.deliver(2, steps - 50, 0);
+            site.wait(BLOCK);
+        }
+        site.check(7, &[0, 1, 2], &format!("{off_s} s ahead for {ahead_s} s"));
     }
 }
