@@ -1,9 +1,8 @@
 //! Small dense kernels that do not allocate.
 //!
-//! The equivalents in nalgebra lose their storage if they fail, or pack their operands into new
-//! buffers.
+//! Where nalgebra does not allocate and is as fast, its functions are used.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Replaces the lower triangle of a symmetric positive definite matrix by its Cholesky factor `L`
@@ -14,23 +13,21 @@ use pulp::{Arch, Simd, WithSimd};
 pub(crate) fn cholesky_mut(matrix: &mut DMatrix<f64>) -> Result<(), usize> {
     let n = matrix.nrows();
     for j in 0..n {
-        let mut pivot = matrix[(j, j)];
-        for k in 0..j {
-            pivot -= matrix[(j, k)] * matrix[(j, k)];
+        let (known, rest) = matrix.as_mut_slice().split_at_mut(j * n);
+        let (above, column) = rest[..n].split_at_mut(j);
+        for known in known.chunks_exact(n) {
+            add_scaled(column, -known[j], &known[j..]);
         }
+        let pivot = column[0];
         // This form of the condition also rejects NaN.
         if !(pivot > 0.0 && pivot.is_finite()) {
             return Err(j);
         }
+        above.fill(0.0);
         let diagonal = pivot.sqrt();
-        matrix[(j, j)] = diagonal;
-        for i in j + 1..n {
-            let mut entry = matrix[(i, j)];
-            for k in 0..j {
-                entry -= matrix[(i, k)] * matrix[(j, k)];
-            }
-            matrix[(i, j)] = entry / diagonal;
-            matrix[(j, i)] = 0.0;
+        column[0] = diagonal;
+        for entry in &mut column[1..] {
+            *entry /= diagonal;
         }
     }
     Ok(())
@@ -45,19 +42,19 @@ pub(crate) fn ln_determinant(factor: &DMatrix<f64>) -> f64 {
 
 /// Replaces every column `b` (in a column-major slice) by `L⁻¹ b`.
 pub(crate) fn solve_lower_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
-    let m = factor.nrows();
-    if m == 0 {
-        return;
-    }
-    for column in columns.chunks_exact_mut(m) {
-        for i in 0..m {
-            let mut entry = column[i];
-            for k in 0..i {
-                entry -= factor[(i, k)] * column[k];
-            }
-            column[i] = entry / factor[(i, i)];
-        }
-    }
+    factor.solve_lower_triangular_unchecked_mut(&mut of_columns(factor, columns));
+}
+
+/// Replaces every column `b` (in a column-major slice) by `L⁻ᵀ b`.
+pub(crate) fn solve_lower_transposed_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
+    factor.tr_solve_lower_triangular_unchecked_mut(&mut of_columns(factor, columns));
+}
+
+/// Returns a slice as a matrix with as many rows as a factor.
+fn of_columns<'m>(factor: &DMatrix<f64>, columns: &'m mut [f64]) -> DMatrixViewMut<'m, f64> {
+    let rows = factor.nrows();
+    let count = columns.len().checked_div(rows).unwrap_or(0);
+    DMatrixViewMut::from_slice(columns, rows, count)
 }
 
 /// Replaces every row `b` (in a column-major slice) by `L⁻¹ b`.
@@ -131,23 +128,6 @@ impl SolveLowerOfRows<'_> {
             for (entry, sum) in entries.iter_mut().zip(sums) {
                 *entry = simd.mul_f64s(reciprocal, sum);
             }
-        }
-    }
-}
-
-/// Replaces every column `b` (in a column-major slice) by `L⁻ᵀ b`.
-pub(crate) fn solve_lower_transposed_mut(factor: &DMatrix<f64>, columns: &mut [f64]) {
-    let m = factor.nrows();
-    if m == 0 {
-        return;
-    }
-    for column in columns.chunks_exact_mut(m) {
-        for i in (0..m).rev() {
-            let mut entry = column[i];
-            for k in i + 1..m {
-                entry -= factor[(k, i)] * column[k];
-            }
-            column[i] = entry / factor[(i, i)];
         }
     }
 }
@@ -236,17 +216,12 @@ pub(crate) fn add_quadratic_form_mut(
     scale: f64,
 ) {
     let n = x.nrows();
-    for b in 0..c.ncols() {
+    for j in 0..n {
+        let column = &mut target.as_mut_slice()[j * n..(j + 1) * n];
         for a in 0..c.nrows() {
-            let weight = scale * c[(a, b)];
-            if weight == 0.0 {
-                continue;
-            }
-            for j in 0..n {
-                let right = weight * x[(j, b)];
-                for i in 0..n {
-                    target[(i, j)] += x[(i, a)] * right;
-                }
+            let weight: f64 = (0..c.ncols()).map(|b| scale * c[(a, b)] * x[(j, b)]).sum();
+            if weight != 0.0 {
+                add_scaled_slice_mut(column, weight, &x.as_slice()[a * n..(a + 1) * n]);
             }
         }
     }
@@ -256,16 +231,9 @@ pub(crate) fn add_quadratic_form_mut(
 /// bit-identical.
 pub(crate) fn subtract_gram_mut(target: &mut DMatrix<f64>, v: &DMatrix<f64>) {
     let n = target.nrows();
-    let m = v.nrows();
-    if m == 0 {
-        return;
-    }
-    let columns = v.as_slice();
     for j in 0..n {
-        let right = &columns[j * m..(j + 1) * m];
         for i in 0..=j {
-            let left = &columns[i * m..(i + 1) * m];
-            let product: f64 = left.iter().zip(right).map(|(a, b)| a * b).sum();
+            let product = v.column(i).dot(&v.column(j));
             let entry = target[(i, j)] - product;
             target[(i, j)] = entry;
             target[(j, i)] = entry;
