@@ -2,7 +2,7 @@
 
 use crate::support::{
     DEADLINE, Drops, EstimateReader, Identified, Process, Sensors, Site, assert_same_bits,
-    distributed_storeys, five_storeys, two_storeys, within,
+    distributed_storeys, five_storeys, spandrel, two_storeys, within,
 };
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, Bus, BusConfig, Description, EstimateBlock,
@@ -463,4 +463,29 @@ fn assert_is_the_whole_record(frames: &[Identified]) {
         .zip(frames)
         .find(|(number, frame)| frame.time_ns != number * 10_000_000);
     assert!(wrong.is_none(), "frame {wrong:?} is not at its time");
+}
+
+#[test]
+fn a_stop_while_structures_start_ends_the_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let files: Vec<PathBuf> = (0..40)
+        .map(|number| {
+            let text = two_storeys("").replace("name = \"house\"", &format!("name = \"h{number}\""));
+            let path = folder.path().join(format!("{number}.toml"));
+            std::fs::write(&path, text).unwrap();
+            path
+        })
+        .collect();
+    let mut command = spandrel("run");
+    command
+        .args(&files)
+        .args(["--listen", "tcp/127.0.0.1:0", "-v"])
+        .args(["--http", "none"])
+        .env("SPANDREL_STATE__FOLDER", folder.path().join("state"));
+    let process = Process::start(&mut command);
+    process.wait_for_log("alerts ready structure=\"h0\"");
+    process
+        .stop()
+        .expect_code(0)
+        .expect_untold(&["ready structures=40"]);
 }

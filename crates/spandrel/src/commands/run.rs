@@ -418,7 +418,11 @@ pub fn run(
         tokio::pin!(interrupted);
         let mut hangups = Hangups::new();
         let ended = loop {
-            let mut running = plan.start(&bus, services, share, page).await?;
+            let mut running = tokio::select! {
+                started = plan.start(&bus, services, share, page) => started?,
+                // Hundreds of structures take long to start.
+                () = &mut interrupted => break Ok(()),
+            };
             info!(structures = plan.watched.len(), "ready");
             tell_systemd(NotifyState::Ready);
             let pool = running.pool();
