@@ -73,7 +73,8 @@ class Desk:
     def service(self, block: Block) -> Iterator[Process]:
         with self.start(block) as process:
             if " run " in block.text:
-                process.wait_for("http")
+                # The page is announced before the service that receives the samples has started.
+                process.wait_for("ready structures")
             yield process
 
     def run(self, block: Block) -> str:
@@ -149,10 +150,12 @@ def test_the_json_script_of_the_topics_page_is_recorded(desk):
         spandrel.subscribe("demo", [spandrel.Status]) as statuses,
     ):
         desk.run(script)
+        deadline = time.monotonic() + DEADLINE_S
         while True:
             status = statuses.receive(DEADLINE_S)
             if status.service == "ingest" and status.done >= 1000:
                 break
+            assert time.monotonic() < deadline, f"the last status is {status}"
         assert not [reason for reason in status.drops if reason.startswith("refused")]
         running.child.terminate()
         running.wait()

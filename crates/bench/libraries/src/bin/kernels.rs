@@ -2,12 +2,12 @@
 //! run and on one core. Prints a table.
 //!
 //! ```sh
-//! cargo run --release --manifest-path crates/bench/kernels/Cargo.toml
+//! cargo run --release --manifest-path crates/bench/libraries/Cargo.toml --bin kernels
 //! ```
 //!
 //! The kernels are private to the filter, so this package compiles their files itself.
 
-#[path = "../../../filter/src"]
+#[path = "../../../../filter/src"]
 #[allow(dead_code)]
 mod filter {
     pub(crate) mod dense;
