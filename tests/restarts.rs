@@ -470,7 +470,8 @@ fn a_stop_while_structures_start_ends_the_process() {
     let folder = tempfile::tempdir().unwrap();
     let files: Vec<PathBuf> = (0..40)
         .map(|number| {
-            let text = two_storeys("").replace("name = \"house\"", &format!("name = \"h{number}\""));
+            let text =
+                two_storeys("").replace("name = \"house\"", &format!("name = \"h{number}\""));
             let path = folder.path().join(format!("{number}.toml"));
             std::fs::write(&path, text).unwrap();
             path

@@ -355,6 +355,8 @@ impl Running {
         if let Some(stage) = self.stage(service) {
             stage.run(of.to_owned(), started, plan);
         }
+        // A start may never wait, and a stop during the starts must be noticed.
+        tokio::task::yield_now().await;
         Ok(())
     }
 
