@@ -8,7 +8,7 @@
 //! The kernels are private to the filter, so this package compiles their files itself.
 
 #[path = "../../../../filter/src"]
-#[allow(dead_code)]
+#[allow(dead_code, reason = "not every kernel is timed")]
 mod filter {
     pub(crate) mod dense;
     pub(crate) mod product;
