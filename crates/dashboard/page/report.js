@@ -4,7 +4,7 @@
 import { chart, rangeOf } from "./chart.js";
 import { h, setText } from "./dom.js";
 import { t } from "./language.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -225,23 +225,22 @@ function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
   const isPresent = to_s >= overview.time_s - PRESENT_S;
   if (isPresent && alert) {
     const { sign, word, level } = stateOf(alert);
-    return { level, words: `${sign} ${word}` };
+    return { level, words: `${sign} ${word}`, isOpen: isUndecided(alert) };
   }
   // The changes are sorted, the newest first.
   const last = changes.find(({ parameter, time_ns }) => parameter === name && time_ns / 1e9 <= to_s);
-  return last && !isPresent ? { level: STATES[last.state].level, words: `${STATES[last.state].sign} ${STATES[last.state].word}` } : { level: "learning", words: t("no-decision-known") };
+  return last && !isPresent ? { level: STATES[last.state].level, words: `${STATES[last.state].sign} ${STATES[last.state].word}`, isOpen: isUndecided(last) } : { level: "learning", words: t("no-decision-known") };
 }
 
 function parameterTable(about, overview, standing, changes, series, period) {
   const ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
   const rows = about.parameters.map((parameter) => {
-    const { level, words } = stateAtEnd(parameter, ruled, overview, standing, changes, period);
+    const { level, words, isOpen } = stateAtEnd(parameter, ruled, overview, standing, changes, period);
     const [, means, stds] = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
     const row = means.findLastIndex((mean) => mean !== null);
     const [mean, std] = [means[row], stds[row]];
     const chance = series.get(`loss/${parameter.name}`)?.[4]?.at(-1);
     const loss = standing.losses[parameter.name];
-    const isOpen = words === `${STATES.undecided.sign} ${STATES.undecided.word}`;
     const toldOf = (text) => (isOpen ? t("not-decided", text) : text);
     const asked = loss && parameter.stiffness && chance != null ? t("probability-for-more-than", toldOf(probability(chance, loss.rule_credibility)), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
     const texts = row < 0 ? [t("no-estimate"), "–"] : [`${ratio(mean)} ± ${ratio(std)}`, t("range", ratio(mean - HALF_95 * std), ratio(mean + HALF_95 * std))];
