@@ -252,6 +252,40 @@ async fn setting_all_clocks_back_by_a_day_starts_a_new_run_of_frames() {
     running.end().await;
 }
 
+// The recording of the true time was deleted at once.
+#[tokio::test(flavor = "multi_thread")]
+async fn clocks_that_are_400_days_ahead_delete_no_recording_of_a_day() {
+    const AHEAD_NS: i64 = 400 * 86_400 * SECOND_NS;
+    let site = Site::with(&two_storeys(""));
+    let record = site.simulate(ROWS as f64 / SECOND as f64);
+    let configuration = site.folder().join("spandrel.toml");
+    let text = "[state]\nfolder = \"kept\"\nrecording.keep-s = 86400\nrecording.segment-s = 1\n";
+    std::fs::write(&configuration, text).unwrap();
+    let services = Process::start(site.listening("run").arg("--config").arg(&configuration));
+    services.wait_for_log("ready structures=1");
+    let (bus, keys) = (site.join().await, site.keys());
+    site.wait_for_services(&bus).await;
+    let mut reader = EstimateReader::join(&bus, &keys).await;
+    let mut sensors = Sensors::start(&bus, &keys, site.structure(), &record).await;
+    sensors.put(0..SET).await;
+    reader.read_frames(SET).await;
+    for from in (SET..ROWS).step_by(SECOND) {
+        for node in NODES {
+            let change = |block: &mut SampleBlock| block.header.time_ns += AHEAD_NS;
+            sensors.put_changed(node, from..from + SECOND, change).await;
+        }
+    }
+    let found = reader.read_frames(ROWS).await;
+    let apart_ns = found[SET].time_ns - found[SET - 1].time_ns;
+    assert!(apart_ns >= AHEAD_NS, "the clocks moved by {apart_ns} ns");
+    services.stop().expect_code(0);
+    let recording = site.recording_in(&site.folder().join("kept"));
+    let spans = recording.reader().spans();
+    let (first, last) = (&spans[0], &spans[spans.len() - 1]);
+    assert_eq!((first.from, first.to), (0, SET as u64), "{spans:?}");
+    assert_eq!(last.to - last.from, (ROWS - SET) as u64, "{spans:?}");
+}
+
 // An epoch is the wall clock at a start, but must increase with each start.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_ingest_whose_clock_was_set_back_since_its_last_run_is_accepted() {

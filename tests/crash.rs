@@ -17,7 +17,6 @@ use spandrel_bus::{
     StreamState, Subscription,
 };
 use spandrel_identify::{Identification, IdentificationInput, Output};
-use spandrel_record::{FrameLog, LogLayout, LogSettings};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -205,25 +204,7 @@ impl Town {
             .join(root)
             .join(&structure)
             .join("recording");
-        let nodes = self
-            .site
-            .structure()
-            .nodes()
-            .iter()
-            .map(|node| node.name().to_owned())
-            .collect();
-        let layout = LogLayout {
-            structure,
-            channels: self
-                .site
-                .structure()
-                .channels()
-                .map(|channel| channel.name().to_owned())
-                .collect(),
-            nodes,
-            sampling_rate_hz: self.site.structure().sampling_rate_hz(),
-        };
-        let (log, _) = FrameLog::open(&folder, layout, LogSettings::default()).unwrap();
+        let log = self.site.frame_log(&folder);
         let reader = log.reader();
         let spans = reader.spans();
         assert_eq!(spans.len(), 1, "{spans:?}");

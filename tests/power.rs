@@ -18,7 +18,7 @@ use spandrel_bus::{
     HistorySpan, Keys, Name, Service, Start, StreamSettings, StreamState,
 };
 use spandrel_identify::{Identification, IdentificationInput, Output};
-use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
+use spandrel_record::LoggedFrames;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -530,21 +530,7 @@ fn files_that_were_set_aside(state: &Path) -> Vec<PathBuf> {
 
 /// Reads all recorded frames, a block for each run without a gap.
 fn recorded(site: &Site, folder: &Path) -> Vec<LoggedFrames> {
-    let structure = site.structure();
-    let layout = LogLayout {
-        structure: structure.name().to_owned(),
-        channels: structure
-            .channels()
-            .map(|channel| channel.name().to_owned())
-            .collect(),
-        nodes: structure
-            .nodes()
-            .iter()
-            .map(|node| node.name().to_owned())
-            .collect(),
-        sampling_rate_hz: structure.sampling_rate_hz(),
-    };
-    let (log, _) = FrameLog::open(folder, layout, LogSettings::default()).unwrap();
+    let log = site.frame_log(folder);
     let reader = log.reader();
     let mut runs: Vec<LoggedFrames> = Vec::new();
     for span in reader.spans() {

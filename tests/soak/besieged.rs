@@ -4,7 +4,7 @@
 //! After each of them, frames must contain the samples of all nodes again. Nothing may restart,
 //! memory must not grow, and no sample of the steady node may be lost.
 
-use super::houses::{Houses, OTHERS, STEADY, check_recording, frame_log};
+use super::houses::{Houses, OTHERS, STEADY, check_recording};
 use super::measured::{Heard, Series, resident_mb};
 use super::node::Manner;
 use crate::support::{DEADLINE, Process, put_raw, spandrel, within};
@@ -403,7 +403,7 @@ async fn besiege(length: Duration, hold_s: std::ops::Range<f64>) {
         frames,
     );
     // Clocks that are 400 days ahead must not make the recording of a day forget the present.
-    let kept = frame_log(&besieged.state, &besieged.houses.sites[OTHER_HOUSE]);
+    let kept = besieged.houses.sites[OTHER_HOUSE].recording_in(&besieged.state);
     let first = kept.reader().spans()[0];
     assert_eq!(first.from, 0, "{first:?}");
     if !length.is_zero() {

@@ -3,7 +3,6 @@
 use super::node::{Clock, Manner, ORDERS, Orders};
 use crate::support::{Process, Site, two_storeys, within};
 use spandrel_bus::{Bus, Keys, Service};
-use spandrel_record::{FrameLog, LogLayout, LogSettings};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
@@ -141,31 +140,6 @@ impl Houses {
     }
 }
 
-/// Opens the recording of a structure whose services have ended.
-pub fn frame_log(state: &Path, site: &Site) -> FrameLog {
-    let structure = site.structure();
-    let layout = LogLayout {
-        structure: structure.name().to_owned(),
-        nodes: structure
-            .nodes()
-            .iter()
-            .map(|node| node.name().to_owned())
-            .collect(),
-        sampling_rate_hz: structure.sampling_rate_hz(),
-        channels: structure
-            .channels()
-            .map(|channel| channel.name().to_owned())
-            .collect(),
-    };
-    let folder = state
-        .join(site.keys().root().as_str())
-        .join(structure.name())
-        .join("recording");
-    FrameLog::open(&folder, layout, LogSettings::default())
-        .unwrap()
-        .0
-}
-
 /// Checks that the recording contains each sample that the steady node has published, and every
 /// frame. All nodes are present at the end.
 pub fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
@@ -174,7 +148,7 @@ pub fn check_recording(state: &Path, site: &Site, put: u64, frames: u64) {
         .channels()
         .map(|channel| channel.name().to_owned())
         .collect();
-    let log = frame_log(state, site);
+    let log = site.recording_in(state);
     let reader = log.reader();
     let spans = reader.spans();
     assert_eq!(spans.len(), 1, "{}: {spans:?}", structure.name());

@@ -2,6 +2,7 @@
 
 use super::{Estimated, Process, Record, spandrel, within};
 use spandrel_bus::{Bus, BusConfig, Keys, Service};
+use spandrel_record::{FrameLog, LogLayout, LogSettings};
 use spandrel_structure::Structure;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -118,6 +119,33 @@ impl Site {
             &responses,
             serde_json::from_str(&finished.stdout).unwrap(),
         )
+    }
+
+    /// Opens the recording of the structure in a state folder whose services have ended.
+    pub fn recording_in(&self, state: &Path) -> FrameLog {
+        let folder = state.join(&self.root).join(self.structure.name());
+        self.frame_log(&folder.join("recording"))
+    }
+
+    /// Opens a folder of recorded frames of the structure.
+    pub fn frame_log(&self, folder: &Path) -> FrameLog {
+        let layout = LogLayout {
+            structure: self.structure.name().to_owned(),
+            channels: self
+                .structure
+                .channels()
+                .map(|channel| channel.name().to_owned())
+                .collect(),
+            nodes: self
+                .structure
+                .nodes()
+                .iter()
+                .map(|node| node.name().to_owned())
+                .collect(),
+            sampling_rate_hz: self.structure.sampling_rate_hz(),
+        };
+        let (log, _) = FrameLog::open(folder, layout, LogSettings::default()).unwrap();
+        log
     }
 
     /// Returns a service command of this site that others can connect to.

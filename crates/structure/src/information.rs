@@ -20,6 +20,10 @@ use crate::simulator::Simulator;
 use crate::steady_filter::{NoiseCovariances, SampledModel, SteadyFilter, Tangent};
 use crate::structure::Structure;
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+/// Number of parameters between two reports of the completed share.
+const AT_ONCE: usize = 16;
 
 /// Half the distance of two structures in a parameter.
 ///
@@ -48,20 +52,24 @@ impl Information {
         on_share: &dyn Fn(f64),
     ) -> Option<Self> {
         let levels: Vec<NoiseCovariances> = level_parts(structure);
-        let mut model = structure.model();
         let means = structure.prior_means();
-        let nominal = sampled(structure, &mut model, &means);
+        let nominal = sampled(structure, &mut structure.model(), &means);
         let filter = SteadyFilter::new(nominal, sum_of(structure, &levels))?;
         let (theta, all) = (
             structure.parameters.len(),
             structure.parameters.len() + levels.len(),
         );
-        let by_parameter = |parameter| {
-            on_share(0.5 * parameter as f64 / all as f64);
-            filter.by_parameter(&slope(structure, &mut model, &means, parameter))
+        let by_parameter = |model: &mut StructureModel, parameter: &usize| {
+            filter.by_parameter(&slope(structure, model, &means, *parameter))
         };
-        let mut tangents: Vec<Tangent> = (0..theta).map(by_parameter).collect();
-        tangents.extend(levels.iter().map(|part| filter.by_level(part)));
+        let parameters: Vec<usize> = (0..theta).collect();
+        let mut tangents: Vec<Tangent> = Vec::with_capacity(all);
+        for some in parameters.chunks(AT_ONCE) {
+            on_share(0.5 * tangents.len() as f64 / all as f64);
+            let some = some.par_iter();
+            tangents.par_extend(some.map_init(|| structure.model(), by_parameter));
+        }
+        tangents.par_extend(levels.par_iter().map(|part| filter.by_level(part)));
         let lower = filter.innovation_covariance.clone().cholesky()?.l();
         let whole: Vec<DMatrix<f64>> = tangents
             .iter()

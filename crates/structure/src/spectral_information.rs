@@ -17,9 +17,14 @@
 //! 50, 1). No data are simulated.
 
 use crate::noise_level::{NoiseLevel, NoiseSource};
-use crate::spectrum::{Complexes, Frequency, Linearised, Response, frequencies};
+use crate::spectrum::{Complexes, Frequency, Linearised, Responses, frequencies};
 use crate::structure::Structure;
-use nalgebra::{Complex, DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector, DVectorViewMut};
+use rayon::prelude::*;
+
+/// Number of frequencies whose terms are computed in parallel and then added in order. The limit
+/// saves memory, and the order makes the sum the same on every machine.
+const AT_ONCE: usize = 16;
 
 /// A quantity with respect to which a model of the structure is differentiated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,6 +56,12 @@ pub(crate) struct SpectralModel<'s> {
 enum Part {
     Excitation(Complexes),
     Sensors(DVector<f64>),
+}
+
+/// The responses at one frequency.
+struct Response<'r> {
+    of: &'r Responses,
+    index: usize,
 }
 
 /// Information and expected slope of the log-likelihood per frame, in the order of the directions.
@@ -109,10 +120,22 @@ impl<'s> SpectralModel<'s> {
             .collect();
         let mut products = DMatrix::zeros(directions.len() + 1, directions.len() + 1);
         let mut misfit = 0.0;
-        for frequency in frequencies(&resolved, self.structure.step_s()) {
-            let (columns, at) = self.columns(truth, frequency, directions)?;
-            misfit += frequency.weight * at;
-            products.gemm_tr(frequency.weight, &columns, &columns, 1.0);
+        for some in frequencies(&resolved, self.structure.step_s()).chunks(AT_ONCE) {
+            let responses = self.linearised.responses(some)?;
+            let term = |(index, frequency): (usize, &Frequency)| {
+                let own = Response {
+                    of: &responses,
+                    index,
+                };
+                let (columns, misfit) = self.columns(truth, &own, frequency.omega, directions)?;
+                Some((frequency.weight, columns.transpose() * columns, misfit))
+            };
+            let terms: Vec<_> = some.par_iter().enumerate().map(term).collect();
+            for term in terms {
+                let (weight, product, at) = term?;
+                misfit += weight * at;
+                products += product * weight;
+            }
         }
         let known = directions.len();
         Some(Sums {
@@ -129,61 +152,61 @@ impl<'s> SpectralModel<'s> {
     fn columns(
         &self,
         truth: Option<&Self>,
-        at: Frequency,
+        own: &Response<'_>,
+        omega: f64,
         directions: &[Direction],
     ) -> Option<(DMatrix<f64>, f64)> {
-        let own = self.linearised.response(at.omega)?;
-        let phi = self.unpredicted(&own.transfer);
-        let lower = phi.clone().cholesky()?.unpack();
+        let transfer = own.transfer();
+        let (outputs, inputs) = transfer.shape();
+        let lower = self.unpredicted(transfer).cholesky()?.unpack();
+        let whiten = lower.solve_lower_triangular(&Complexes::identity(outputs, outputs))?;
         let mut misfit: f64 = lower
             .diagonal()
             .iter()
             .map(|entry| 2.0 * entry.re.ln())
             .sum();
-        let mut columns = Vec::with_capacity(directions.len() + 1);
-        for direction in directions {
-            let (of_phi, of_g) = self.derivatives(&own, *direction, at.omega);
-            columns.push(stacked(
-                &whitened(of_phi, &lower)?,
-                &lower.solve_lower_triangular(&of_g)?,
-            ));
+        let rows = outputs * outputs + 2 * outputs * inputs;
+        let mut columns = DMatrix::zeros(rows, directions.len() + 1);
+        let seen = &whiten * transfer;
+        for (direction, column) in directions.iter().zip(columns.column_iter_mut()) {
+            let (of_phi, of_g) = self.derivatives(own, &whiten, &seen, *direction, omega);
+            stack(&of_phi, of_g.as_ref(), column);
         }
-        columns.push(match truth {
-            None => DVector::zeros(columns.first().map_or(0, DVector::len)),
-            Some(truth) => {
-                let other = truth.linearised.transfer(at.omega)?;
-                let error = scaled_columns(&(&other - &own.transfer), &self.known); // ΔG Σ_k^½
-                let excess = truth.unpredicted(&other) + &error * error.adjoint() - phi;
-                let excess = whitened(excess, &lower)?;
-                misfit += excess.trace().re;
-                stacked(&excess, &lower.solve_lower_triangular(&error)?)
-            }
-        });
-        Some((DMatrix::from_columns(&columns), misfit))
+        if let Some(truth) = truth {
+            let other = truth.linearised.transfer(omega)?;
+            let error = scaled_columns(&(&other - transfer), &self.known); // ΔG Σ_k^½
+            let (error, other) = (&whiten * error, &whiten * other);
+            let mut excess = &other * &truth.unknown * other.adjoint() + &error * error.adjoint()
+                - &seen * &self.unknown * seen.adjoint();
+            excess += diagonal_whitened(&(&truth.noise - &self.noise), &whiten);
+            misfit += excess.trace().re;
+            stack(&excess, Some(&error), columns.column_mut(directions.len()));
+        }
+        Some((columns, misfit))
     }
 
-    /// Returns `∂Φ` and `∂G Σ_k^½` in a direction.
+    /// Returns `L⁻¹ ∂Φ L⁻ᴴ` and `L⁻¹ ∂G Σ_k^½` in a direction, with `L⁻¹` (`whiten`) and `L⁻¹ G`
+    /// (`seen`). The second is `None` if it is zero.
     fn derivatives(
         &self,
-        own: &Response,
+        own: &Response<'_>,
+        whiten: &Complexes,
+        seen: &Complexes,
         direction: Direction,
         omega: f64,
-    ) -> (Complexes, Complexes) {
-        let g = &own.transfer;
-        let none = || Complexes::zeros(g.nrows(), g.ncols());
+    ) -> (Complexes, Option<Complexes>) {
         match direction {
             Direction::Parameter(parameter) => {
-                let slope = &own.slopes[parameter];
-                let half = slope * &self.unknown * g.adjoint(); // ∂G Σ_u Gᴴ
-                (&half + half.adjoint(), scaled_columns(slope, &self.known))
+                let slope = whiten * own.slope(parameter);
+                let half = &slope * &self.unknown * seen.adjoint(); // L⁻¹ ∂G Σ_u Gᴴ L⁻ᴴ
+                let known = scaled_columns(&slope, &self.known);
+                (&half + half.adjoint(), Some(known))
             }
-            Direction::Level(level) => (self.parts[level].seen_through(g), none()),
+            Direction::Level(level) => (self.parts[level].whitened(whiten, seen), None),
             Direction::Colour { level, octave } => {
                 let share = self.structure.octave_share(octave, omega);
-                (
-                    self.parts[level].seen_through(g) * Complex::new(share, 0.0),
-                    none(),
-                )
+                let whole = self.parts[level].whitened(whiten, seen);
+                (whole * Complex::new(share, 0.0), None)
             }
         }
     }
@@ -229,16 +252,37 @@ impl<'s> SpectralModel<'s> {
     }
 }
 
+impl Response<'_> {
+    /// Returns `G` (N_0 × N_f).
+    fn transfer(&self) -> &Complexes {
+        &self.of.transfers[self.index]
+    }
+
+    /// Returns `∂G` with respect to a parameter.
+    fn slope(&self, parameter: usize) -> &Complexes {
+        &self.of.slopes[parameter][self.index]
+    }
+}
+
 impl Part {
-    /// Returns its contribution to `Φ` (N_0 × N_0).
-    fn seen_through(&self, transfer: &Complexes) -> Complexes {
+    /// Returns its contribution to `L⁻¹ Φ L⁻ᴴ` (N_0 × N_0), from `L⁻¹` (`whiten`) and `L⁻¹ G`
+    /// (`seen`).
+    fn whitened(&self, whiten: &Complexes, seen: &Complexes) -> Complexes {
         match self {
-            Self::Excitation(covariance) => transfer * covariance * transfer.adjoint(),
-            Self::Sensors(variances) => {
-                Complexes::from_diagonal(&variances.map(|entry| Complex::new(entry, 0.0)))
-            }
+            Self::Excitation(covariance) => seen * covariance * seen.adjoint(),
+            Self::Sensors(variances) => diagonal_whitened(variances, whiten),
         }
     }
+}
+
+/// Returns `L⁻¹ D L⁻ᴴ` for a diagonal `D`, from `L⁻¹`.
+fn diagonal_whitened(diagonal: &DVector<f64>, whiten: &Complexes) -> Complexes {
+    let own: Vec<usize> = (0..diagonal.len())
+        .filter(|row| diagonal[*row] != 0.0)
+        .collect();
+    let entries: Vec<f64> = own.iter().map(|row| diagonal[*row]).collect();
+    let columns = whiten.select_columns(&own);
+    scaled_columns(&columns, &entries) * columns.adjoint()
 }
 
 fn part(structure: &Structure, level: &NoiseLevel, variance: f64) -> Part {
@@ -270,23 +314,24 @@ fn scaled_columns(x: &Complexes, factors: &[f64]) -> Complexes {
     scaled
 }
 
-/// Returns `L⁻¹ X L⁻ᴴ`.
-fn whitened(x: Complexes, lower: &Complexes) -> Option<Complexes> {
-    let left = lower.solve_lower_triangular(&x)?;
-    Some(lower.solve_lower_triangular(&left.adjoint())?.adjoint())
-}
-
-/// Stacks a matrix with weight ½ and a matrix with weight 1 into one real column.
-fn stacked(half: &Complexes, full: &Complexes) -> DVector<f64> {
-    let root = 0.5_f64.sqrt();
-    let parts = half
-        .iter()
-        .map(|entry| *entry * root)
-        .chain(full.iter().copied());
-    DVector::from_iterator(
-        2 * (half.len() + full.len()),
-        parts.flat_map(|entry| [entry.re, entry.im]),
-    )
+/// Writes a Hermitian matrix with weight ½, and a matrix with weight 1, into a real column of zeros.
+///
+/// The entries below the diagonal of the first repeat those above it, which count twice instead.
+fn stack(half: &Complexes, full: Option<&Complexes>, mut column: DVectorViewMut<'_, f64>) {
+    let len = half.nrows();
+    for at in 0..len {
+        column[at] = half[(at, at)].re * 0.5_f64.sqrt();
+    }
+    let mut place = len;
+    let mut put = |entry: &Complex<f64>| {
+        column[place] = entry.re;
+        column[place + 1] = entry.im;
+        place += 2;
+    };
+    for at in 1..len {
+        half.view((0, at), (at, 1)).iter().for_each(&mut put);
+    }
+    full.into_iter().flatten().for_each(&mut put);
 }
 
 #[cfg(test)]

@@ -2,14 +2,16 @@
 //! parameter.
 //!
 //! `(s I − A_u) U = B_u` and `G = H U + D` at `s = iω`, with the matrices of [`LinearForm`]. A
-//! derivative with respect to a parameter is `∂G = ∂H U + H (s I − A_u)⁻¹ (∂A_u U + ∂B_u) + ∂D`.
-//! With `u = [x, v]` and `A_u = [0, A_xv; A_vx, A_vv]`, one factor of
-//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) solves for both parts. Time is continuous: the hold
+//! derivative with respect to a parameter is `∂G = ∂H U + W (∂A_u U + ∂B_u) + ∂D` with
+//! `W = H (s I − A_u)⁻¹`. With `u = [x, v]` and `A_u = [0, A_xv; A_vx, A_vv]`, one factor of
+//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) gives both `U` and `W`. Time is continuous: the hold
 //! of an excitation over a step, and modes above half the sampling rate, are neglected.
 
 use crate::linear_form::LinearForm;
+use crate::model::StructureModel;
 use crate::structure::Structure;
 use nalgebra::{Complex, DMatrix, Dyn, LU};
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// A complex matrix.
@@ -53,21 +55,34 @@ pub(crate) struct Linearised {
     slopes: Vec<LinearForm>,
 }
 
-/// Response of the sensors to an excitation `e^{iωt}`.
+/// Responses of the sensors to excitations `e^{iωt}` at some frequencies.
 #[derive(Debug, Clone)]
-pub(crate) struct Response {
-    /// `G` (N_0 × N_f).
-    pub(crate) transfer: Complexes,
-    /// `∂G` with respect to each parameter.
-    pub(crate) slopes: Vec<Complexes>,
+pub(crate) struct Responses {
+    /// `G` (N_0 × N_f) at each frequency.
+    pub(crate) transfers: Vec<Complexes>,
+    /// `∂G` with respect to each parameter, at each frequency.
+    pub(crate) slopes: Vec<Vec<Complexes>>,
+}
+
+/// Motion of the structure at one frequency.
+struct Motion {
+    /// `U` (2 N_d × N_f).
+    u: Parts,
+    /// `W` (N_0 × 2 N_d).
+    w: Parts,
+}
+
+/// Real and imaginary part of a complex matrix, for products with real matrices.
+struct Parts {
+    re: DMatrix<f64>,
+    im: DMatrix<f64>,
 }
 
 impl Linearised {
     /// Linearises `structure` at `theta` (ratios to nominal).
     pub(crate) fn new(structure: &Structure, theta: &[f64]) -> Self {
-        let mut model = structure.model();
         let basis = structure.analysis_basis();
-        let slope = |parameter: usize, model: &mut _| {
+        let slope = |model: &mut StructureModel, parameter: usize| {
             let mut moved = |by: f64| {
                 let mut theta = theta.to_vec();
                 theta[parameter] += by;
@@ -76,9 +91,10 @@ impl Linearised {
             difference(moved(DIFFERENCE), &moved(-DIFFERENCE))
         };
         let slopes = (0..theta.len())
-            .map(|parameter| slope(parameter, &mut model))
+            .into_par_iter()
+            .map_init(|| structure.model(), slope)
             .collect();
-        let at = LinearForm::moving_in(&mut model, theta, basis);
+        let at = LinearForm::moving_in(&mut structure.model(), theta, basis);
         let free = at.system.nrows() / 2;
         let block = |row, column| at.system.view((row, column), (free, free)).into_owned();
         let (rate, restoring, damping) =
@@ -104,20 +120,66 @@ impl Linearised {
         product(&self.at.observation, motion) + complex(&self.at.direct)
     }
 
-    /// Returns `G` and its derivatives at `omega` (rad/s); `None` at the resonance of an undamped
+    /// Returns `G` and its derivatives at some frequencies; `None` at the resonance of an undamped
     /// mode.
-    pub(crate) fn response(&self, omega: f64) -> Option<Response> {
-        let solver = Solver::new(self, omega)?;
-        let motion = solver.solve(&complex(&self.at.input))?;
-        let transfer = self.seen(&motion);
-        let slope = |slope: &LinearForm| {
-            let pushed = product(&slope.system, &motion) + complex(&slope.input);
-            let moved = solver.solve(&pushed)?;
-            let seen = product(&slope.observation, &motion) + product(&self.at.observation, &moved);
-            Some(seen + complex(&slope.direct))
+    pub(crate) fn responses(&self, frequencies: &[Frequency]) -> Option<Responses> {
+        let input = complex(&self.at.input);
+        let at_frequency = |frequency: &Frequency| {
+            let solver = Solver::new(self, frequency.omega)?;
+            let u = solver.solve(&input)?;
+            let w = Parts::of(&solver.solve_from_left(&self.at.observation)?);
+            let transfer = self.seen(&u);
+            Some((
+                Motion {
+                    u: Parts::of(&u),
+                    w,
+                },
+                transfer,
+            ))
         };
-        let slopes = self.slopes.iter().map(slope).collect::<Option<_>>()?;
-        Some(Response { transfer, slopes })
+        let found: Option<Vec<_>> = frequencies.par_iter().map(at_frequency).collect();
+        let (motions, transfers): (Vec<Motion>, _) = found?.into_iter().unzip();
+        // A product with all motions at once: reading `∂A_u` takes longer than one product.
+        let all: Vec<_> = motions
+            .iter()
+            .flat_map(|motion| motion.u.re.column_iter().chain(motion.u.im.column_iter()))
+            .collect();
+        let all = DMatrix::from_columns(&all);
+        let slopes = self.slopes.par_iter();
+        let slopes = slopes.map(|slope| slope_of_transfers(slope, &motions, &all));
+        Some(Responses {
+            transfers,
+            slopes: slopes.collect(),
+        })
+    }
+}
+
+/// Returns `∂G` for each of `motions` (of which `all` contains the columns).
+fn slope_of_transfers(
+    slope: &LinearForm,
+    motions: &[Motion],
+    all: &DMatrix<f64>,
+) -> Vec<Complexes> {
+    let pushed = &slope.system * all;
+    let shown = &slope.observation * all;
+    let inputs = slope.input.ncols();
+    let of_motion = |(index, Motion { w, .. }): (usize, &Motion)| {
+        let [re, im] = [2 * index * inputs, (2 * index + 1) * inputs];
+        let pushed_re = pushed.columns(re, inputs) + &slope.input;
+        let pushed_im = pushed.columns(im, inputs);
+        let re = &w.re * &pushed_re - &w.im * pushed_im + shown.columns(re, inputs);
+        let im = &w.re * pushed_im + &w.im * &pushed_re + shown.columns(im, inputs);
+        (re + &slope.direct).zip_map(&im, Complex::new)
+    };
+    motions.iter().enumerate().map(of_motion).collect()
+}
+
+impl Parts {
+    fn of(x: &Complexes) -> Self {
+        Self {
+            re: x.map(|entry| entry.re),
+            im: x.map(|entry| entry.im),
+        }
     }
 }
 
@@ -138,11 +200,8 @@ fn complex(matrix: &DMatrix<f64>) -> Complexes {
 
 /// Returns the product of a real and a complex matrix, computed as two real products.
 fn product(real: &DMatrix<f64>, x: &Complexes) -> Complexes {
-    let [re, im] = [
-        real * x.map(|entry| entry.re),
-        real * x.map(|entry| entry.im),
-    ];
-    re.zip_map(&im, Complex::new)
+    let Parts { re, im } = Parts::of(x);
+    (real * re).zip_map(&(real * im), Complex::new)
 }
 
 /// `(s I − A_u)⁻¹` at one frequency.
@@ -182,6 +241,29 @@ impl<'l> Solver<'l> {
         out.rows_mut(0, free).copy_from(&x);
         out.rows_mut(free, free).copy_from(&v);
         Some(out)
+    }
+
+    /// Returns `X (s I − A_u)⁻¹` for rows `X` (2 N_d).
+    fn solve_from_left(&self, rows: &DMatrix<f64>) -> Option<Complexes> {
+        let free = rows.ncols() / 2;
+        let of_x = complex(&rows.columns(0, free).into_owned());
+        let of_v = rows.columns(free, free).into_owned();
+        // Y Z = X_x A_xv / s + X_v, so that the result is [(X_x + Y A_vx) / s, Y].
+        let through = complex(&(rows.columns(0, free) * &self.of.rate)) * self.s.inv();
+        let y = self.over_z(&(through + complex(&of_v)))?;
+        let mut out = Complexes::zeros(rows.nrows(), 2 * free);
+        let x = of_x + product(&self.of.restoring.transpose(), &y.transpose()).transpose();
+        out.columns_mut(0, free).copy_from(&(x * self.s.inv()));
+        out.columns_mut(free, free).copy_from(&y);
+        Some(out)
+    }
+
+    /// Returns `X Z⁻¹`, from `P Z = L U`.
+    fn over_z(&self, x: &Complexes) -> Option<Complexes> {
+        let mut y = self.factor.u().tr_solve_upper_triangular(&x.transpose())?;
+        y = self.factor.l().tr_solve_lower_triangular(&y)?;
+        self.factor.p().inv_permute_rows(&mut y);
+        Some(y.transpose())
     }
 }
 
@@ -229,4 +311,40 @@ pub(crate) fn frequencies(forms: &[&Linearised], step_s: f64) -> Vec<Frequency> 
         weight: (middle(index + 1) - middle(index)) / highest,
     };
     (0..omegas.len()).map(weigh).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn slopes_of_the_transfer_are_the_limit_of_differences() {
+        let text = include_str!("../../../docs/examples/demo.toml");
+        let structure = Structure::parse(text, Path::new("example.toml")).unwrap();
+        let theta = structure.prior_means();
+        let linearised = Linearised::new(&structure, &theta);
+        let some = frequencies(&[&linearised], structure.step_s());
+        let responses = linearised.responses(&some).unwrap();
+        for parameter in 0..theta.len() {
+            let [up, down] = [DIFFERENCE, -DIFFERENCE].map(|by| {
+                let mut theta = theta.clone();
+                theta[parameter] += by;
+                Linearised::new(&structure, &theta)
+            });
+            for (index, frequency) in some.iter().enumerate() {
+                let of = |at: &Linearised| at.transfer(frequency.omega).unwrap();
+                assert_eq!(responses.transfers[index], of(&linearised));
+                let expected = (of(&up) - of(&down)) / Complex::new(2.0 * DIFFERENCE, 0.0);
+                let found = &responses.slopes[parameter][index];
+                // The last parameter may have no effect at all.
+                let scale = expected.norm() + 1e-3 * responses.transfers[index].norm();
+                assert!(
+                    (found - &expected).norm() < 1e-4 * scale,
+                    "parameter {parameter} at {} rad/s: {found} for {expected}",
+                    frequency.omega
+                );
+            }
+        }
+    }
 }
