@@ -111,7 +111,7 @@ impl<'s> SpectralModel<'s> {
     /// Sums the information of the model about `directions` over all frequencies, for data from
     /// `truth`.
     ///
-    /// If `truth` is `None`, the model is right. The result is `None` if some frequency has no
+    /// The parameters come first in `directions`. If `truth` is `None`, the model is right. The result is `None` if some frequency has no
     /// finite response.
     pub(crate) fn sums(&self, truth: Option<&Self>, directions: &[Direction]) -> Option<Sums> {
         let resolved: Vec<&Linearised> = std::iter::once(self)
@@ -127,8 +127,8 @@ impl<'s> SpectralModel<'s> {
                     of: &responses,
                     index,
                 };
-                let (columns, misfit) = self.columns(truth, &own, frequency.omega, directions)?;
-                Some((frequency.weight, columns.transpose() * columns, misfit))
+                let (product, misfit) = self.products(truth, &own, frequency.omega, directions)?;
+                Some((frequency.weight, product, misfit))
             };
             let terms: Vec<_> = some.par_iter().enumerate().map(term).collect();
             for term in terms {
@@ -145,11 +145,16 @@ impl<'s> SpectralModel<'s> {
         })
     }
 
-    /// Returns a real column for each direction and one for the truth, and the misfit.
+    /// Returns the terms of the sums for all pairs of directions, with the truth as the last one,
+    /// and the misfit.
     ///
-    /// The products of the columns are the terms of the sums. The misfit is `ln |Φ| + tr(Φ⁻¹ Φ_t)`,
-    /// in which `Φ_t` includes the part that the known excitation leaves unexplained.
-    fn columns(
+    /// The misfit is `ln |Φ| + tr(Φ⁻¹ Φ_t)`, in which `Φ_t` includes the part that the known
+    /// excitation leaves unexplained.
+    ///
+    /// The terms are products of real columns. With `Φ = L Lᴴ`, all matrices are seen through a
+    /// `V = U L⁻¹`, in which the unitary `U` makes `V G` triangular. `V ∂Φ Vᴴ` of a parameter is
+    /// then zero outside its first N_f rows and columns, and no more of it is computed.
+    fn products(
         &self,
         truth: Option<&Self>,
         own: &Response<'_>,
@@ -157,20 +162,33 @@ impl<'s> SpectralModel<'s> {
         directions: &[Direction],
     ) -> Option<(DMatrix<f64>, f64)> {
         let transfer = own.transfer();
-        let (outputs, inputs) = transfer.shape();
         let lower = self.unpredicted(transfer).cholesky()?.unpack();
-        let whiten = lower.solve_lower_triangular(&Complexes::identity(outputs, outputs))?;
+        let (outputs, inputs) = transfer.shape();
+        let mut whiten = lower.solve_lower_triangular(&Complexes::identity(outputs, outputs))?;
+        (&whiten * transfer).qr().q_tr_mul(&mut whiten);
+        let seen = &whiten * transfer;
         let mut misfit: f64 = lower
             .diagonal()
             .iter()
             .map(|entry| 2.0 * entry.re.ln())
             .sum();
-        let rows = outputs * outputs + 2 * outputs * inputs;
-        let mut columns = DMatrix::zeros(rows, directions.len() + 1);
-        let seen = &whiten * transfer;
-        for (direction, column) in directions.iter().zip(columns.column_iter_mut()) {
+        let parameters = directions
+            .iter()
+            .take_while(|direction| matches!(direction, Direction::Parameter(_)))
+            .count();
+        let (all, first) = (directions.len() + 1, inputs.min(outputs));
+        let remaining = (outputs - first) * (outputs - first);
+        let rows = outputs * outputs - remaining + 2 * outputs * inputs;
+        let mut columns = DMatrix::zeros(rows, all);
+        let mut others = DMatrix::zeros(remaining, all - parameters);
+        let mut put = |at: usize, of_phi: &Complexes, of_g: Option<&Complexes>| {
+            let column = columns.column_mut(at);
+            let other = at.checked_sub(parameters);
+            stack(of_phi, of_g, column, other.map(|at| others.column_mut(at)));
+        };
+        for (at, direction) in directions.iter().enumerate() {
             let (of_phi, of_g) = self.derivatives(own, &whiten, &seen, *direction, omega);
-            stack(&of_phi, of_g.as_ref(), column);
+            put(at, &of_phi, of_g.as_ref());
         }
         if let Some(truth) = truth {
             let other = truth.linearised.transfer(omega)?;
@@ -180,13 +198,18 @@ impl<'s> SpectralModel<'s> {
                 - &seen * &self.unknown * seen.adjoint();
             excess += diagonal_whitened(&(&truth.noise - &self.noise), &whiten);
             misfit += excess.trace().re;
-            stack(&excess, Some(&error), columns.column_mut(directions.len()));
+            put(directions.len(), &excess, Some(&error));
         }
-        Some((columns, misfit))
+        let mut products = columns.transpose() * columns;
+        let mut of_others = products.view_range_mut(parameters.., parameters..);
+        of_others += others.transpose() * &others;
+        Some((products, misfit))
     }
 
-    /// Returns `L⁻¹ ∂Φ L⁻ᴴ` and `L⁻¹ ∂G Σ_k^½` in a direction, with `L⁻¹` (`whiten`) and `L⁻¹ G`
-    /// (`seen`). The second is `None` if it is zero.
+    /// Returns `V ∂Φ Vᴴ` and `V ∂G Σ_k^½` in a direction, with `V` (`whiten`) and `V G` (`seen`).
+    ///
+    /// The first has only the columns that can differ from zero. The second is `None` if it is
+    /// zero.
     fn derivatives(
         &self,
         own: &Response<'_>,
@@ -198,9 +221,13 @@ impl<'s> SpectralModel<'s> {
         match direction {
             Direction::Parameter(parameter) => {
                 let slope = whiten * own.slope(parameter);
-                let half = &slope * &self.unknown * seen.adjoint(); // L⁻¹ ∂G Σ_u Gᴴ L⁻ᴴ
-                let known = scaled_columns(&slope, &self.known);
-                (&half + half.adjoint(), Some(known))
+                let first = seen.nrows().min(seen.ncols());
+                let seen = seen.rows(0, first);
+                let mut of_phi = &slope * &self.unknown * seen.adjoint(); // V ∂G Σ_u Gᴴ Vᴴ
+                let mirrored = of_phi.rows(0, first).adjoint();
+                let mut top = of_phi.rows_mut(0, first);
+                top += mirrored;
+                (of_phi, Some(scaled_columns(&slope, &self.known)))
             }
             Direction::Level(level) => (self.parts[level].whitened(whiten, seen), None),
             Direction::Colour { level, octave } => {
@@ -265,8 +292,7 @@ impl Response<'_> {
 }
 
 impl Part {
-    /// Returns its contribution to `L⁻¹ Φ L⁻ᴴ` (N_0 × N_0), from `L⁻¹` (`whiten`) and `L⁻¹ G`
-    /// (`seen`).
+    /// Returns its contribution to `V Φ Vᴴ` (N_0 × N_0), from `V` (`whiten`) and `V G` (`seen`).
     fn whitened(&self, whiten: &Complexes, seen: &Complexes) -> Complexes {
         match self {
             Self::Excitation(covariance) => seen * covariance * seen.adjoint(),
@@ -275,7 +301,7 @@ impl Part {
     }
 }
 
-/// Returns `L⁻¹ D L⁻ᴴ` for a diagonal `D`, from `L⁻¹`.
+/// Returns `V D Vᴴ` for a diagonal `D`, from `V`.
 fn diagonal_whitened(diagonal: &DVector<f64>, whiten: &Complexes) -> Complexes {
     let own: Vec<usize> = (0..diagonal.len())
         .filter(|row| diagonal[*row] != 0.0)
@@ -314,24 +340,32 @@ fn scaled_columns(x: &Complexes, factors: &[f64]) -> Complexes {
     scaled
 }
 
-/// Writes a Hermitian matrix with weight ½, and a matrix with weight 1, into a real column of zeros.
+/// Writes a Hermitian matrix with weight ½, and a matrix with weight 1, into real columns of zeros.
 ///
-/// The entries below the diagonal of the first repeat those above it, which count twice instead.
-fn stack(half: &Complexes, full: Option<&Complexes>, mut column: DVectorViewMut<'_, f64>) {
-    let len = half.nrows();
-    for at in 0..len {
-        column[at] = half[(at, at)].re * 0.5_f64.sqrt();
+/// The Hermitian matrix has all rows, and possibly only its first columns. Its entries above the
+/// diagonal repeat those below it, which count twice instead. Its last entries fill `other`.
+fn stack(
+    half: &Complexes,
+    full: Option<&Complexes>,
+    mut column: DVectorViewMut<'_, f64>,
+    other: Option<DVectorViewMut<'_, f64>>,
+) {
+    let mut entries = Vec::with_capacity(half.len());
+    for at in 0..half.ncols() {
+        entries.push(half[(at, at)].re * 0.5_f64.sqrt());
+        for row in at + 1..half.nrows() {
+            entries.extend([half[(row, at)].re, half[(row, at)].im]);
+        }
     }
-    let mut place = len;
-    let mut put = |entry: &Complex<f64>| {
-        column[place] = entry.re;
-        column[place + 1] = entry.im;
-        place += 2;
-    };
-    for at in 1..len {
-        half.view((0, at), (at, 1)).iter().for_each(&mut put);
+    let first = entries.len() - other.as_ref().map_or(0, DVectorViewMut::len);
+    column.rows_mut(0, first).copy_from_slice(&entries[..first]);
+    if let Some(mut other) = other {
+        other.copy_from_slice(&entries[first..]);
     }
-    full.into_iter().flatten().for_each(&mut put);
+    for (place, entry) in full.into_iter().flatten().enumerate() {
+        column[first + 2 * place] = entry.re;
+        column[first + 2 * place + 1] = entry.im;
+    }
 }
 
 #[cfg(test)]
