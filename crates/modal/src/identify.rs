@@ -10,6 +10,7 @@ use crate::stream::Epoch;
 use crate::{ModalError, Uncertainty};
 use nalgebra::{Complex, DVector};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Highest damping ratio of a mode.
 pub const HIGHEST_DAMPING: f64 = 0.1;
@@ -26,9 +27,15 @@ const COMPARED: usize = 5;
 /// Least ratio of the damping ratio of a certain mode to its standard deviation. In simulations, most
 /// modes below it do not exist.
 pub const CERTAIN_DAMPING: f64 = 2.0;
-/// Spectral kurtosis below which a line of the spectrum is a sine: halfway from 0 (random motion)
-/// to −1 (a sine).
+/// Spectral kurtosis below which a line of the spectrum is a sine, if its pole has almost no damping:
+/// halfway from 0 (random motion) to −1 (a sine).
 pub const MACHINE_KURTOSIS: f64 = -0.5;
+/// Spectral kurtosis below which a line is a sine with any damping of its pole. A machine beside a
+/// mode shares its pole. Random motion is below with a probability of 0.002 for
+/// [`LEAST_SEGMENTS`] independent segments.
+const LINE_KURTOSIS: f64 = -0.75;
+/// Least number of segments for which [`LINE_KURTOSIS`] holds.
+const LEAST_SEGMENTS: usize = 15;
 
 /// What a stable pole represents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,7 +43,7 @@ pub const MACHINE_KURTOSIS: f64 = -0.5;
 pub enum Source {
     /// A mode of the structure.
     Mode,
-    /// A periodic excitation: almost no damping, and an amplitude that hardly varies.
+    /// A periodic excitation: an amplitude that hardly varies.
     Machine,
 }
 
@@ -180,9 +187,10 @@ fn mode(epoch: &Epoch, pole: &Pole, changes: &[Change], orders: f64) -> Option<M
         frequency_hz: std(changes.iter().map(|change| change.frequency_hz)),
         damping: std(changes.iter().map(|change| change.damping)),
     };
-    let is_machine = pole.damping.abs() < MACHINE_DAMPING
+    let is_undamped = pole.damping.abs() < MACHINE_DAMPING
         && found.damping < MACHINE_DAMPING
         && kurtosis.is_some_and(|kurtosis| kurtosis < MACHINE_KURTOSIS);
+    let is_machine = is_undamped || has_line(epoch, pole, kurtosis);
     let is_certain = found.frequency_hz < LARGEST_DEVIATION * pole.frequency_hz
         && found.damping < HIGHEST_DAMPING;
     if !is_certain || (pole.damping <= 0.0 && !is_machine) {
@@ -207,6 +215,19 @@ fn mode(epoch: &Epoch, pole: &Pole, changes: &[Change], orders: f64) -> Option<M
         band_hz: epoch.band_hz,
         orders,
         kurtosis,
+    })
+}
+
+/// Returns `true` if the amplitude at the frequency of a pole varies too little for random motion.
+///
+/// The motion of a mode that decays more slowly than within a segment is correlated from segment to
+/// segment. Its amplitude may hardly vary, so it does not count.
+fn has_line(epoch: &Epoch, pole: &Pole, kurtosis: Option<f64>) -> bool {
+    epoch.spectrum.as_ref().is_some_and(|spectrum| {
+        let decay_rate_hz = TAU * pole.damping * pole.frequency_hz;
+        spectrum.segments() >= LEAST_SEGMENTS
+            && decay_rate_hz > spectrum.step_hz()
+            && kurtosis.is_some_and(|kurtosis| kurtosis < LINE_KURTOSIS)
     })
 }
 

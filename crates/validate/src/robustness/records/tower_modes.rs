@@ -1,17 +1,18 @@
 //! The natural frequencies of the test tower, which update the stiffnesses of a shear chain. What
 //! shakes the tower is not used.
 //!
-//! Each record is judged against the other two, with one epoch per record. A loss of one storey is
-//! added by the calibrated model: its change of each frequency and shape is added to the identified
-//! ones, whose residuals stay.
+//! Each record is judged against the other two, with one epoch per record. The second half of each
+//! record is also judged against its first half, where the scatter between records has no effect. A
+//! loss of one storey is added by the calibrated model: its change of each frequency and shape is
+//! added to the identified ones, whose residuals stay.
 
 use super::course::Recorded;
-use super::{RecordsError, Row};
+use super::{RecordsError, Row, replaced};
 use nalgebra::{DMatrix, DVector};
 use spandrel_bus::{ModeDisplay, Name, ShapeValue};
 use spandrel_modal::{PartModel, SeenMode, StiffnessChange, UpdateReference};
 use spandrel_modes::{DeclaredModes, EpochOver, ModesError, Stiffnesses};
-use spandrel_structure::{ModalPlan, Structure};
+use spandrel_structure::Structure;
 use std::path::Path;
 
 const FILE: &str = include_str!("tower-modes.toml");
@@ -30,93 +31,158 @@ pub(super) fn rows(data: &Path) -> Result<Vec<Row>, RecordsError> {
         let why = format!("no records in {}", folder.display());
         return Ok(vec![Row::skipped("test tower: modes", "", why)]);
     }
-    let structure = Structure::parse(FILE, Path::new("tower-modes.toml"))?;
-    let (Some(plan), Some(stiffnesses)) = (structure.modal(), Stiffnesses::new(&structure)?) else {
-        return Ok(Vec::new()); // the file has both
+    let Some(tower) = Tower::read(FILE)? else {
+        return Ok(Vec::new()); // the file has modes that update stiffnesses
     };
-    let epochs: Vec<Vec<ModeDisplay>> = RECORDS
-        .iter()
-        .map(|name| modes(&structure, plan, &folder.join(name)))
-        .collect::<Result<_, _>>()?;
-    let mut sound = Row::new(
-        "test tower: stiffnesses from modes",
-        "no alert at 10 %; the three records within their intervals",
-    );
-    let mut damaged = Row::new(
-        "test tower: stiffnesses from modes, one storey has lost 15 %",
-        "raised at 10 % for this storey in each record",
-    );
-    let (mut inside, mut all, mut false_alerts) = (0_u32, 0_u32, 0);
-    let mut found = [0_u32; STATED.len()];
-    let (mut nearest, mut wrong) = (0_u32, 0_u32);
-    for (number, name) in RECORDS.iter().enumerate() {
-        let others = (0..RECORDS.len()).filter(|other| *other != number);
-        let commissioning: Vec<Vec<Option<SeenMode>>> = others
-            .map(|other| seen(&stiffnesses, &epochs[other]))
-            .collect();
-        let judged = Judged {
-            model: stiffnesses.model(),
-            reference: UpdateReference::learn(
-                stiffnesses.model(),
-                stiffnesses.settings(),
-                &commissioning,
-            )
-            .map_err(ModesError::from)?,
-        };
-        let change = judged.change(&seen(&stiffnesses, &epochs[number]))?;
-        sound.runs += 1;
-        sound.seen += &format!("{name}: ");
-        for part in 0..change.parts() {
-            all += 1;
-            inside += u32::from((0.025..0.975).contains(&change.cdf(part, 0.0)));
-            let percent = |ln: f64| 100.0 * (ln.exp() - 1.0);
-            sound.seen += &format!(
-                "{:+.1} [{:+.1}, {:+.1}] ",
-                percent(change.mean(part)),
-                percent(change.quantile(part, 0.025)),
-                percent(change.quantile(part, 0.975)),
-            );
-        }
-        sound.seen += "%; ";
+    let records = tower.epochs(&folder, 1)?;
+    let against_others = (0..records.len()).map(|number| Trial {
+        record: RECORDS[number],
+        commissioning: (0..records.len())
+            .filter(|other| *other != number)
+            .map(|other| &records[other][0])
+            .collect(),
+        judged: &records[number][0],
+    });
+    let mut rows = tower.judge("", &against_others.collect::<Vec<_>>())?;
+
+    let halves = [
+        ("epoch-s = 380", "epoch-s = 196"),
+        ("commissioning-epochs = 2", "commissioning-epochs = 1"),
+    ];
+    let Some(tower) = Tower::read(&replaced(FILE, &halves)?)? else {
+        return Ok(rows);
+    };
+    let records = tower.epochs(&folder, 2)?;
+    let within = records.iter().zip(RECORDS).map(|(epochs, record)| Trial {
+        record,
+        commissioning: vec![&epochs[0]],
+        judged: &epochs[1],
+    });
+    rows.extend(tower.judge(" (halves of a record)", &within.collect::<Vec<_>>())?);
+    Ok(rows)
+}
+
+/// The declared modes after an epoch.
+type Epoch = Vec<ModeDisplay>;
+
+/// An epoch, and those that it is judged against.
+struct Trial<'e> {
+    record: &'static str,
+    commissioning: Vec<&'e Epoch>,
+    judged: &'e Epoch,
+}
+
+/// The tower with the settings of its epochs.
+struct Tower {
+    structure: Structure,
+    stiffnesses: Stiffnesses,
+}
+
+impl Tower {
+    /// Returns `None` if the file has no modes that update stiffnesses.
+    fn read(file: &str) -> Result<Option<Self>, RecordsError> {
+        let structure = Structure::parse(file, Path::new("tower-modes.toml"))?;
+        let stiffnesses = Stiffnesses::new(&structure)?;
+        Ok(stiffnesses.map(|stiffnesses| Self {
+            structure,
+            stiffnesses,
+        }))
+    }
+
+    /// Returns the first `count` epochs of each record.
+    fn epochs(&self, folder: &Path, count: usize) -> Result<Vec<Vec<Epoch>>, RecordsError> {
+        let of_record = |name| modes(&self.structure, &folder.join(name), count);
+        RECORDS.iter().map(of_record).collect()
+    }
+
+    /// Returns the rows of the sound epochs, and of the same with a loss of each storey.
+    fn judge(&self, of: &str, trials: &[Trial<'_>]) -> Result<Vec<Row>, RecordsError> {
+        let mut sound = Row::new(
+            format!("test tower: stiffnesses from modes{of}"),
+            "no alert at 10 %; the changes within their intervals",
+        );
+        let mut damaged = Row::new(
+            format!("test tower: stiffnesses from modes{of}, one storey has lost 15 %"),
+            "raised at 10 % for this storey in each record",
+        );
+        let (mut inside, mut all, mut false_alerts) = (0_u32, 0_u32, 0);
+        let mut found = [0_u32; STATED.len()];
+        let (mut nearest, mut wrong) = (0_u32, 0_u32);
         let raised = |change: &StiffnessChange, part: usize, loss: f64| {
             change.probability_of_loss(part, loss) >= CREDIBILITY
         };
-        false_alerts +=
-            usize::from((0..change.parts()).any(|part| raised(&change, part, STATED[0])));
-        damaged.seen += &format!("{name}: ");
-        for storey in 0..change.parts() {
-            let lossy = judged.with_loss(&epochs[number], storey)?;
-            let change = judged.change(&seen(&stiffnesses, &lossy))?;
-            damaged.runs += 1;
-            for (count, loss) in found.iter_mut().zip(STATED) {
-                *count += u32::from(raised(&change, storey, loss));
+        for trial in trials {
+            let commissioning = trial.commissioning.iter();
+            let commissioning: Vec<_> = commissioning.map(|epoch| self.seen(epoch)).collect();
+            let judged = Judged {
+                model: self.stiffnesses.model(),
+                reference: UpdateReference::learn(
+                    self.stiffnesses.model(),
+                    self.stiffnesses.settings(),
+                    &commissioning,
+                )
+                .map_err(ModesError::from)?,
+            };
+            let change = judged.change(&self.seen(trial.judged))?;
+            sound.runs += 1;
+            sound.seen += &format!("{}: ", trial.record);
+            for part in 0..change.parts() {
+                all += 1;
+                inside += u32::from((0.025..0.975).contains(&change.cdf(part, 0.0)));
+                let percent = |ln: f64| 100.0 * (ln.exp() - 1.0);
+                sound.seen += &format!(
+                    "{:+.1} [{:+.1}, {:+.1}] ",
+                    percent(change.mean(part)),
+                    percent(change.quantile(part, 0.025)),
+                    percent(change.quantile(part, 0.975)),
+                );
             }
-            let others = (0..change.parts()).filter(|other| *other != storey);
-            let is_largest = others
-                .clone()
-                .all(|other| change.mean(other) > change.mean(storey));
-            nearest += u32::from(is_largest);
-            wrong += u32::from(others.into_iter().any(|other| raised(&change, other, 0.0)));
-            damaged.seen += &format!(
-                "{:.1} ± {:.1} ({:.3}) ",
-                100.0 * (1.0 - change.mean(storey).exp()),
-                100.0 * change.std(storey),
-                change.probability_of_loss(storey, STATED[0]),
-            );
+            sound.seen += "%; ";
+            false_alerts +=
+                usize::from((0..change.parts()).any(|part| raised(&change, part, STATED[0])));
+            damaged.seen += &format!("{}: ", trial.record);
+            for storey in 0..change.parts() {
+                let lossy = judged.with_loss(trial.judged, storey)?;
+                let change = judged.change(&self.seen(&lossy))?;
+                damaged.runs += 1;
+                for (count, loss) in found.iter_mut().zip(STATED) {
+                    *count += u32::from(raised(&change, storey, loss));
+                }
+                let others = (0..change.parts()).filter(|other| *other != storey);
+                let is_largest = others
+                    .clone()
+                    .all(|other| change.mean(other) > change.mean(storey));
+                nearest += u32::from(is_largest);
+                wrong += u32::from(others.into_iter().any(|other| raised(&change, other, 0.0)));
+                damaged.seen += &format!(
+                    "{:.1} ± {:.1} ({:.3}) ",
+                    100.0 * (1.0 - change.mean(storey).exp()),
+                    100.0 * change.std(storey),
+                    change.probability_of_loss(storey, STATED[0]),
+                );
+            }
+            damaged.seen += "%; ";
         }
-        damaged.seen += "%; ";
+        sound.false_alerts = Some(false_alerts);
+        sound.coverage = Some(f64::from(inside) / f64::from(all));
+        sound.passed = Some(false_alerts == 0 && inside == all);
+        let runs = damaged.runs;
+        damaged.seen += &format!(
+            "loss above 10, 5 and 0 % with a probability of 0.99 in {}, {} and {} of {runs}; the \
+             largest estimated loss is that of the storey in {nearest}; another storey has lost with \
+             0.99 in {wrong}",
+            found[0], found[1], found[2],
+        );
+        damaged.passed = Some(found.first().copied() == u32::try_from(runs).ok());
+        Ok(vec![sound, damaged])
     }
-    sound.false_alerts = Some(false_alerts);
-    sound.coverage = Some(f64::from(inside) / f64::from(all));
-    sound.passed = Some(false_alerts == 0 && inside == all);
-    let runs = damaged.runs;
-    damaged.seen += &format!(
-        "loss above 10, 5 and 0 % with a probability of 0.99 in {}, {} and {} of {runs}; the largest \
-         estimated loss is that of the storey in {nearest}; another storey has lost with 0.99 in {wrong}",
-        found[0], found[1], found[2],
-    );
-    damaged.passed = Some(found.first().copied() == u32::try_from(runs).ok());
-    Ok(vec![sound, damaged])
+
+    fn seen(&self, epoch: &[ModeDisplay]) -> Vec<Option<SeenMode>> {
+        epoch
+            .iter()
+            .map(|mode| self.stiffnesses.seen(mode))
+            .collect()
+    }
 }
 
 /// A reference, and the model that it has calibrated.
@@ -167,20 +233,16 @@ fn add_shape(shape: &mut [ShapeValue], before: &DMatrix<f64>, after: &DMatrix<f6
     }
 }
 
-fn seen(stiffnesses: &Stiffnesses, epoch: &[ModeDisplay]) -> Vec<Option<SeenMode>> {
-    let modes = epoch.iter();
-    modes.map(|mode| stiffnesses.seen(mode)).collect()
-}
-
-/// Returns the declared modes of the first epoch of a record.
-fn modes(
-    structure: &Structure,
-    plan: &ModalPlan,
-    path: &Path,
-) -> Result<Vec<ModeDisplay>, RecordsError> {
+/// Returns the declared modes after each of the first `count` epochs of a record.
+fn modes(structure: &Structure, path: &Path, count: usize) -> Result<Vec<Epoch>, RecordsError> {
+    let too_short = || RecordsError::NothingLearnt {
+        record: path.display().to_string(),
+    };
+    let plan = structure.modal().ok_or_else(too_short)?;
     let mut stream = plan.stream().map_err(ModesError::from)?;
     let mut declared = DeclaredModes::new(&Name::new(structure.name())?, plan)?;
     let mut frame = vec![f64::NAN; plan.channels.len()];
+    let mut epochs = Vec::new();
     for row in Recorded::read(structure, path)?.rows {
         for (value, channel) in frame.iter_mut().zip(&plan.channels) {
             *value = row.values.get(*channel).copied().unwrap_or(f64::NAN);
@@ -195,9 +257,10 @@ fn modes(
             found: &found,
         };
         declared.handle(over, &mut Vec::new());
-        return Ok(declared.displays().to_vec());
+        epochs.push(declared.displays().to_vec());
+        if epochs.len() == count {
+            return Ok(epochs);
+        }
     }
-    Err(RecordsError::NothingLearnt {
-        record: path.display().to_string(),
-    })
+    Err(too_short())
 }
