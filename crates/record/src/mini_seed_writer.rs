@@ -185,7 +185,7 @@ fn start_time(start_ns: i64) -> io::Result<([u8; 10], u8)> {
     let time = Timestamp::from_nanosecond(micros * 1000)
         .map_err(io::Error::other)?
         .to_zoned(TimeZone::UTC);
-    let in_second = (time.subsec_nanosecond() / 1000) as u16;
+    let in_second = time.subsec_nanosecond().unsigned_abs() / 1000;
     let year = u16::try_from(time.year()).map_err(io::Error::other)?;
     let mut start = [0; 10];
     start[..2].copy_from_slice(&year.to_be_bytes());
@@ -193,7 +193,8 @@ fn start_time(start_ns: i64) -> io::Result<([u8; 10], u8)> {
     start[4] = time.hour() as u8;
     start[5] = time.minute() as u8;
     start[6] = time.second() as u8;
-    start[8..].copy_from_slice(&(in_second / 100).to_be_bytes());
+    let ticks = (in_second / 100) as u16; // at most 9999
+    start[8..].copy_from_slice(&ticks.to_be_bytes());
     Ok((start, (in_second % 100) as u8))
 }
 
