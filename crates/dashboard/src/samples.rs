@@ -165,13 +165,13 @@ mod tests {
         assert_eq!(what("1", "5", ""), "format is ``");
         assert_eq!(what("1", "5", "json"), "format is `json`");
         assert_eq!(what("5", "5", "csv"), "from is not before to");
-        // 4,000,000 samples of 20 channels at 200 Hz are 1000 s.
-        assert!(wanted("0", "1000", "csv").is_ok());
-        let long = wanted("0", "1001", "csv").unwrap_err();
-        assert_eq!(long.what, "the range is 1001 s long");
+        // 1,000,000 samples of 20 channels at 200 Hz are 250 s.
+        assert!(wanted("0", "250", "csv").is_ok());
+        let long = wanted("0", "251", "csv").unwrap_err();
+        assert_eq!(long.what, "the range is 251 s long");
         assert_eq!(
             long.allowed,
-            "must be at most 1000 s, for 4000000 samples of 20 channels"
+            "must be at most 250 s, for 1000000 samples of 20 channels"
         );
     }
 

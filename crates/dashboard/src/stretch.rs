@@ -6,8 +6,9 @@
 
 use spandrel_bus::{Answer, Block, FrameBlock, QueryRange};
 
-/// Maximum number of samples of all channels in one stretch: 32 MB as numbers of 8 bytes.
-pub(crate) const MOST_SAMPLES: usize = 4_000_000;
+/// Maximum number of samples of all channels in one stretch. An MCAP file of them takes seconds of a
+/// core, and about 80 MB of memory while it is written.
+pub(crate) const MOST_SAMPLES: usize = 1_000_000;
 /// Number of frames per query. A reply contains fewer if they exceed its maximum size.
 const FRAMES: u64 = 16_384;
 
