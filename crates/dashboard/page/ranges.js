@@ -33,8 +33,8 @@ export class RangeBar {
       h("button", { type: "submit" }, t("show")),
       h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, t("csv-of-all-plots")),
       report ? h("a", { class: "button", href: "#", onclick: (event) => (event.currentTarget.href = report()) }, t("report")) : null,
-      samples ? h("span", {}, t("samples"), " ", samples) : null,
       this.told,
+      samples ? h("span", {}, t("samples"), " ", samples) : null,
     );
     this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": t("span-of-all-plots") }, this.buttons.map(({ button }) => button), this.opener, this.zoomed, this.text), this.form);
     this.update();
