@@ -154,7 +154,7 @@ fn wrong_recordings_and_outputs_are_bad_input() {
     let record = simulated(folder.path(), "demo.csv");
     let told = refused(&["convert", &record, "demo.xlsx"]);
     assert!(
-        told.contains("its name must end in .csv or .mcap"),
+        told.contains("its name must end in .csv or .mcap or .mseed"),
         "{told}"
     );
     let told = refused(&["convert", &record, &record]);

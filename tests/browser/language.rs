@@ -30,6 +30,22 @@ const ENGLISH_LEFT: &str = "(async () => {
     return [foreign.size > 200, found];
   })()";
 
+/// Collects the numbers with a decimal point and the dates in ISO 8601 that people read on the page.
+///
+/// It leaves out what services write (`lang="en"`) and the description in the structure file.
+const ENGLISH_NUMBERS: &str = "(() => {
+    const found = [];
+    const look = (element, text) => {
+        if (element.closest('[lang=en], script, noscript, .description')) return;
+        const rest = text.replaceAll(/\\d\\d\\.\\d\\d\\.\\d{4}/g, '');
+        if (/\\d\\.\\d|\\d{4}-\\d\\d-\\d\\d/.test(rest)) found.push(text);
+    };
+    const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    while (texts.nextNode()) look(texts.currentNode.parentElement, texts.currentNode.data);
+    for (const element of document.querySelectorAll('[aria-label]')) look(element, element.getAttribute('aria-label'));
+    return found;
+  })()";
+
 #[tokio::test(flavor = "multi_thread")]
 async fn the_page_is_in_german_for_a_german_browser() {
     let Some(mut browser) = browser().await else {
@@ -76,6 +92,7 @@ async fn the_page_is_in_german_for_a_german_browser() {
             json!([true, []]),
             "{hash}"
         );
+        assert_eq!(browser.evaluate(ENGLISH_NUMBERS).await, json!([]), "{hash}");
     }
     browser.evaluate("scrollTo(0, 0)").await;
     browser.screenshot("german").await;

@@ -50,6 +50,23 @@ async fn the_page_shows_that_it_is_connected_from_the_first_message_on() {
     assert_eq!(browser.evaluate(told).await, true);
 }
 
+/// Regression test: a card without a plot was shown as an empty box.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_card_without_a_plot_is_hidden() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    let empty = "(async () => {
+        const { NowTab } = await import('/now.js');
+        const { about } = await (await fetch('/api/structures/demo')).json();
+        const { element } = new NowTab({ name: 'demo', about, choose: () => {} });
+        return [...element.querySelectorAll('.card')].filter((card) => !card.hidden && card.childElementCount === 0).length;
+      })()";
+    assert_eq!(browser.evaluate(empty).await, 0);
+}
+
 /// Regression test: labels were at the line of another mark, or on the curve.
 #[tokio::test(flavor = "multi_thread")]
 async fn labels_of_marks_are_at_their_own_lines() {

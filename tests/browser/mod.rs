@@ -13,6 +13,7 @@ mod map;
 mod mistakes;
 mod overview;
 mod report;
+mod samples;
 mod waveforms;
 mod workspace;
 

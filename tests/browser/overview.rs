@@ -131,6 +131,12 @@ async fn the_summary_says_what_is_undecided_and_counts_many_structures() {
         let shown = overview(&mut browser, &json!(structures)).await;
         assert_eq!(shown["summary"], expected);
     }
+    // A card names four sensors at most.
+    let sensors = json!({"alive": 1, "total": 7, "troubled": ["a", "b", "c", "d", "e", "f"]});
+    let many = json!([{"name": "s", "level": "warning", "sensors": sensors}]);
+    overview(&mut browser, &many).await;
+    let card = "document.querySelector('.structure-card').textContent.includes('check: a, b, c, d; and 2 more')";
+    assert_eq!(browser.evaluate(card).await, true);
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 

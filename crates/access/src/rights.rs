@@ -270,7 +270,13 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             watch_all(),
         ]
         .concat(),
-        Role::Dashboard => [rights(Role::Viewer), of_service(Service::Dashboard)].concat(),
+        // The page exports samples, which it queries from ingest.
+        Role::Dashboard => [
+            rights(Role::Viewer),
+            each(Right::Query, &[K::Recording]),
+            of_service(Service::Dashboard),
+        ]
+        .concat(),
         Role::Operator => [
             rights(Role::Dashboard),
             each(Right::Put, &[K::Acknowledge, K::Maintenance, K::Annotation]),

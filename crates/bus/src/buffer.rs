@@ -119,7 +119,8 @@ impl Buffer {
     }
 }
 
-fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {
+/// Reads a reply to a query for items.
+pub(crate) fn read_answer<B: Block>(sample: &Sample) -> Result<Answer<B>, DecodeError> {
     // A reply without a type is a block.
     let encoding = sample.encoding().to_string();
     let encodings = CaughtUp::ACCEPTED.iter().copied();

@@ -58,6 +58,7 @@ mod endpoint;
 mod error;
 mod leader;
 mod live;
+mod past;
 mod progress;
 mod protection;
 mod publish;

@@ -2,6 +2,7 @@
 // and marks.
 
 import { s } from "./dom.js";
+import { fixed } from "./language.js";
 import { flags } from "./marks.js";
 import { timeTicks } from "./plot.js";
 
@@ -39,7 +40,7 @@ function roundValues([low, high]) {
   const step = [1, 2, 5, 10].map((factor) => factor * decade).find((step) => step >= rough);
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const first = Math.ceil(low / step);
-  return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, index) => ({ value: (first + index) * step, text: ((first + index) * step).toFixed(digits) }));
+  return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, index) => ({ value: (first + index) * step, text: fixed((first + index) * step, digits) }));
 }
 
 function roundTimes(from_s, to_s) {

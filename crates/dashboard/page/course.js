@@ -1,11 +1,13 @@
 // The days of a judged quantity, as the plots of its year need them.
 
+import { inLanguage } from "./language.js";
+
 /** Seconds from the start of a day to the time at which the plots show it. */
 const NOON_S = 43200;
 
 /** Returns the date of a day of the course (UTC, because a day of the judgement is one of UTC). */
 export function dateOf(seconds) {
-  return new Date(1000 * seconds).toISOString().slice(0, 10);
+  return inLanguage(new Date(1000 * seconds).toISOString().slice(0, 10));
 }
 
 /** Returns the time at which the plots show a day (s). */

@@ -2,7 +2,8 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { COLUMNS, SERVICES, STATES, URGENCIES, place, setSentence, time } from "./words.js";
+import { samplesExport } from "./samples.js";
+import { AROUND_S, COLUMNS, SERVICES, STATES, URGENCIES, place, setSentence, time } from "./words.js";
 
 export class EventsTab {
   key = "events";
@@ -46,9 +47,11 @@ export class EventsTab {
     const why = h("p", { class: "why", lang: SERVICES });
     const read = made ? h("a", { class: "button small", href: report(this.page.name, made) }, t("report")) : null;
     const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": t("show-at", about, time(at)) }, t("show"));
+    const around = () => [at - AROUND_S, at + AROUND_S];
+    const samples = h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(this.page.name, around, `${about}, ${time(at)}`));
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, what);
-    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, h("div", { class: "buttons" }, read, show))), why };
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why };
   }
 }
 

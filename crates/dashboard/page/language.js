@@ -24,6 +24,20 @@ export function wordOf(token) {
   return table[`word-${token}`] ?? token.replaceAll("-", " ");
 }
 
+/**
+ * Returns a number or a date (2026-03-01, 2026-03) as the language of the page writes it. People read the
+ * result. Files, addresses and the sentences of the services keep the decimal point and ISO 8601.
+ */
+export function inLanguage(text) {
+  if (language !== "de") return text;
+  return /^\d{4}-\d\d/.test(text) ? text.split("-").toReversed().join(".") : text.replace(".", ",");
+}
+
+/** Formats a number with a fixed number of decimals, for people. */
+export function fixed(value, digits) {
+  return inLanguage(value.toFixed(digits));
+}
+
 /** Loads the page again in the other language. The address keeps what is shown. */
 export function switchLanguage() {
   localStorage.setItem(LANGUAGE_KEY, language === "en" ? "de" : "en");

@@ -2,7 +2,7 @@
 // of latitudes and longitudes, a scale, and a sign for each structure.
 
 import { h, s } from "./dom.js";
-import { t } from "./language.js";
+import { fixed, t } from "./language.js";
 import { LEVELS } from "./words.js";
 
 /** Smallest number of structures with coordinates for which a map is useful. */
@@ -89,7 +89,7 @@ function westOf(longitudes) {
 function grid({ west, middle, squeeze, scale, height, x, y }, width) {
   const distance = (pixels) => GRID.find((step) => step * pixels >= GRID_FROM) ?? GRID.at(-1);
   const [up, across] = [distance(scale), distance(scale * squeeze)];
-  const words = (degrees, step, [plus, minus]) => `${Math.abs(degrees).toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))}°${degrees % 180 === 0 ? "" : ` ${degrees < 0 ? minus : plus}`}`;
+  const words = (degrees, step, [plus, minus]) => `${fixed(Math.abs(degrees), Math.max(0, -Math.floor(Math.log10(step) + 1e-9)))}°${degrees % 180 === 0 ? "" : ` ${degrees < 0 ? minus : plus}`}`;
   const parts = [];
   for (let index = Math.ceil((middle - height / 2 / scale) / up); index * up <= middle + height / 2 / scale; index += 1) {
     if (Math.abs(index * up) > 90) continue;

@@ -26,7 +26,7 @@ export class NowTab {
     const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": t("parts") };
     const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));
     this.search = searchField(about.parameters.length, t("find-a-part"), () => this.update(page.standing()));
-    this.worst = h("section", { class: "card worst", hidden: !about.has_model });
+    this.worst = h("section", { class: "card worst", hidden: true });
     const parts = h("section", { class: "card parts", hidden: about.parameters.length === 0 }, h("div", { class: "card-head" }, h("h2", {}, t("parts")), this.search.element), table);
     this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
     this.noJudgement = h("p", { class: "group-text" }, t("the-service-judge-has-not-reported-yet"));
@@ -57,6 +57,7 @@ export class NowTab {
     const plot = parameterPlot(parameter, standing, points, span, null, "worst");
     this.#worst = { name, plot };
     this.worst.replaceChildren(plot.element);
+    this.worst.hidden = false;
   }
 
   update(standing) {

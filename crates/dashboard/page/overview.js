@@ -8,6 +8,9 @@ import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
 import { LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, withMinus, wordOf } from "./words.js";
 
+/** Maximum number of sensors that a card names. */
+const MOST_SENSORS = 4;
+
 export class OverviewPage {
   constructor(connection) {
     this.connection = connection;
@@ -178,7 +181,9 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   const chance = probability(worst?.probability_of_loss, worst?.credibility);
   const asked = worst ? t("for-more-than", percent(worst.rule_loss, 0)) : "";
   setText(fields.probability, worst ? (worst.undecided ? t("not-decided", chance) : chance) + asked : "–");
-  const troubled = sensors.troubled.length > 0 ? t("not", sensors.troubled.join(", ")) : "";
+  const [named, further] = [sensors.troubled.slice(0, MOST_SENSORS), sensors.troubled.length - MOST_SENSORS];
+  const more = further > 0 ? t("and-more", further) : "";
+  const troubled = named.length > 0 ? t("not", named.join(", ") + more) : "";
   setText(fields.sensors, t("share", sensors.alive, sensors.total) + troubled);
   // Natural frequencies alone have no worst part.
   for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.has_model;

@@ -2,7 +2,7 @@
 // to a file.
 
 import { h, s, setText } from "./dom.js";
-import { t } from "./language.js";
+import { inLanguage, t } from "./language.js";
 import { flags } from "./marks.js";
 import { shapeKey } from "./shapes.js";
 import { clock, isLocal, isWithoutDate, moment, powerOfTen, recordTime, typeset, zone } from "./words.js";
@@ -404,12 +404,12 @@ export function timeTicks(splits, step) {
   let date = "";
   return splits.map((split) => {
     const { date: day, clock } = moment(split);
-    if (step >= 28 * 86400) return day.slice(0, -3);
-    if (step >= 86400) return day;
-    const time = step >= 60 ? clock.slice(0, 5) : step >= 1 ? clock.slice(0, 8) : clock;
+    if (step >= 28 * 86400) return inLanguage(day.slice(0, -3));
+    if (step >= 86400) return inLanguage(day);
+    const time = step >= 60 ? clock.slice(0, 5) : step >= 1 ? clock.slice(0, 8) : inLanguage(clock);
     const isNewDate = day !== date;
     date = day;
-    return isNewDate ? `${time}\n${date}` : time;
+    return isNewDate ? `${time}\n${inLanguage(date)}` : time;
   });
 }
 

@@ -8,9 +8,9 @@ import { duration, fieldOf, isWithoutDate, time, timeOfField } from "./words.js"
 export class RangeBar {
   /**
    * `csv()` returns the address of the visible data of all plots, and `report()` that of a report of the
-   * range. `key` begins the identifiers of the fields.
+   * range. `samples` exports the samples of the range. `key` begins the identifiers of the fields.
    */
-  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null } = {}) {
+  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null } = {}) {
     this.span = span;
     const free = key === "range" ? "free-range" : `${key}-free-range`;
     this.buttons = lengths.map(([length, text]) => {
@@ -34,6 +34,7 @@ export class RangeBar {
       h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, t("csv-of-all-plots")),
       report ? h("a", { class: "button", href: "#", onclick: (event) => (event.currentTarget.href = report()) }, t("report")) : null,
       this.told,
+      samples ? h("span", {}, t("samples"), " ", samples) : null,
     );
     this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": t("span-of-all-plots") }, this.buttons.map(({ button }) => button), this.opener, this.zoomed, this.text), this.form);
     this.update();

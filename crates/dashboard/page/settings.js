@@ -14,7 +14,7 @@ export class SettingsTab {
     const heads = (columns) => h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text))));
     const scroll = (label) => ({ class: "scroll", tabindex: "0", role: "region", "aria-label": label });
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", { "data-head": COLUMNS.rules[column] }, text))));
-    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), String(credibility), `${number(sustain_s)} s`]));
+    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`]));
     const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
     const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
     this.element = h(

@@ -1,7 +1,7 @@
 // The last day of the worst part of each structure, as small lines on the cards. Only visible cards
 // fetch it.
 
-import { t } from "./language.js";
+import { fixed, t } from "./language.js";
 import { css } from "./plot.js";
 import { DAY_S } from "./span.js";
 
@@ -48,7 +48,7 @@ export class Sparklines {
     canvas.hidden = rows.length < 2;
     if (canvas.hidden) return;
     const values = rows.map((row) => means[row]);
-    canvas.setAttribute("aria-label", t("over-the-last-day-from-to-of", parameter, Math.min(...values).toFixed(3), Math.max(...values).toFixed(3)));
+    canvas.setAttribute("aria-label", t("over-the-last-day-from-to-of", parameter, fixed(Math.min(...values), 3), fixed(Math.max(...values), 3)));
     canvas.title = canvas.getAttribute("aria-label");
     draw(canvas, rows.map((row) => times[row]), values);
   }

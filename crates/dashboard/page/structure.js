@@ -11,6 +11,7 @@ import { NowTab } from "./now.js";
 import { age, showAcknowledged, showNow, showStale } from "./overview.js";
 import { ParametersTab } from "./parameters.js";
 import { RangeBar } from "./ranges.js";
+import { samplesExport } from "./samples.js";
 import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { Points, Scale, Span } from "./span.js";
@@ -119,7 +120,10 @@ export class StructurePage {
     this.tabs = [new NowTab(page), ...(hasModel ? [new ParametersTab(page)] : []), ...(this.about.parameters.length + this.about.modes.length > 0 ? [new CompareTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(hasModel ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
     if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), t("views-of", this.name), (key) => this.#open(key));
-    this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), { report: () => reportOf([this.name], this.span.shown.min, this.span.shown.max) });
+    this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), {
+      report: () => reportOf([this.name], this.span.shown.min, this.span.shown.max),
+      samples: samplesExport(this.name, () => [this.span.shown.min, this.span.shown.max], t("chosen-range")),
+    });
     this.body.replaceChildren(h("div", { class: "sticky" }, this.bar.list, this.ranges.element), ...this.bar.panels, this.dialog.element);
   }
 

@@ -1,7 +1,7 @@
 // Times: the zone in which the page shows them, and all of their formats.
 
 import { h } from "./dom.js";
-import { t } from "./language.js";
+import { fixed, inLanguage, t } from "./language.js";
 
 /** Key of the chosen zone in local storage. */
 const ZONE_KEY = "spandrel-zone";
@@ -10,8 +10,8 @@ const ZONE_KEY = "spandrel-zone";
  * record.
  */
 const WITHOUT_DATES_BEFORE_S = 1e8;
-/** A date, or a date with a time and a zone, in a sentence. */
-const STAMP = /\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d UTC(?:[+−]\d+(?::\d\d)?)?)?/g;
+/** A date, or a date with a time and a zone, in a sentence of a service or of the page. */
+const STAMP = /(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})(?: \d\d:\d\d:\d\d UTC(?:[+−]\d+(?::\d\d)?)?)?/g;
 
 let local = localStorage.getItem(ZONE_KEY) === "local";
 
@@ -52,15 +52,18 @@ export function moment(seconds) {
 
 /** Formats a measurement time, or the time in a record without dates. */
 export function time(seconds) {
-  if (isWithoutDate(seconds)) return `${seconds.toFixed(2)} s`;
-  const { date, clock: of } = moment(seconds);
-  return `${date} ${of.slice(0, 8)} ${zone(seconds)}`;
+  if (isWithoutDate(seconds)) return `${fixed(seconds, 2)} s`;
+  return written(seconds, inLanguage(moment(seconds).date));
+}
+
+function written(seconds, date) {
+  return `${date} ${moment(seconds).clock.slice(0, 8)} ${zone(seconds)}`;
 }
 
 /** Formats the time of day only, or the time in a record without dates. */
 export function clock(seconds) {
   if (isWithoutDate(seconds)) return time(seconds);
-  return `${moment(seconds).clock.slice(0, 10)} ${zone(seconds)}`;
+  return `${inLanguage(moment(seconds).clock.slice(0, 10))} ${zone(seconds)}`;
 }
 
 /** Formats a time in a record without dates in hours, minutes and seconds: 0:01:30. */
@@ -68,7 +71,7 @@ export function recordTime(seconds, digits = 0) {
   const unit = 10 ** digits;
   const size = Math.round(Math.abs(seconds) * unit) / unit;
   const [hours, minutes] = [Math.floor(size / 3600), Math.floor(size / 60) % 60];
-  const rest = (size % 60).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
+  const rest = fixed(size % 60, digits).padStart(digits ? 3 + digits : 2, "0");
   return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
 }
 
@@ -87,7 +90,7 @@ export function timeOfField(text) {
 /** Formats a duration in words. */
 export function duration(seconds) {
   const size = Math.abs(seconds);
-  if (size < 1) return `${size.toFixed(1)} s`;
+  if (size < 1) return `${fixed(size, 1)} s`;
   if (size < 120) return `${Math.round(size)} s`;
   if (size < 7200) return `${Math.round(size / 60)} min`;
   if (size < 48 * 3600) return `${Math.round(size / 3600)} h`;
@@ -106,7 +109,7 @@ export function setSentence(element, text) {
   let end = 0;
   for (const { 0: stamp, index } of text.matchAll(STAMP)) {
     const seconds = Date.parse(stamp.replace(" ", "T").replace(" UTC", "Z")) / 1000;
-    const shown = stamp.endsWith("UTC") && Number.isFinite(seconds) ? time(seconds) : stamp;
+    const shown = stamp.endsWith("UTC") && Number.isFinite(seconds) ? written(seconds, moment(seconds).date) : stamp;
     pieces.push(withMinus(text.slice(end, index)), h("span", { class: "whole" }, shown));
     end = index + stamp.length;
   }

@@ -1,6 +1,6 @@
 // Names of states and formats of numbers. The formats of times and addresses are beside it.
 
-import { t, wordOf } from "./language.js";
+import { fixed, inLanguage, t, wordOf } from "./language.js";
 import { duration, time } from "./time.js";
 
 export * from "./address.js";
@@ -156,21 +156,22 @@ export function probability(value, asked) {
   for (let digits = percent > 10 && percent < 99 ? 0 : 1; ; digits += 1) {
     const most = 100 - 10 ** -Math.max(digits, 1);
     const bound = percent > most ? [most, 100, "> "] : percent < 100 - most ? [0, 100 - most, "< "] : null;
-    const text = (bound ? (bound[2] === "> " ? most : 100 - most) : percent).toFixed(digits);
-    const [low, high, sign] = bound ?? [Number(text), Number(text), ""];
+    const shown = bound ? (bound[2] === "> " ? most : 100 - most) : percent;
+    const rounded = Number(shown.toFixed(digits));
+    const [low, high, sign] = bound ?? [rounded, rounded, ""];
     const isTold = value >= asked ? low / 100 >= asked : high / 100 < asked;
-    if (asked === null || asked === undefined || isTold || digits === MOST_DIGITS) return `${sign}${text} %`;
+    if (asked === null || asked === undefined || isTold || digits === MOST_DIGITS) return `${sign}${fixed(shown, digits)} %`;
   }
 }
 
 /** Formats a share in per cent. */
 export function percent(share, digits = 1) {
-  return `${(100 * share).toFixed(digits)} %`;
+  return `${fixed(100 * share, digits)} %`;
 }
 
 /** Formats a ratio to the nominal value. */
 export function ratio(value) {
-  return value.toFixed(3);
+  return fixed(value, 3);
 }
 
 /** Formats a number of any size with few digits. */
@@ -181,10 +182,10 @@ export function number(value) {
   return typeset(String(Number(value.toPrecision(4))));
 }
 
-/** Returns a number with a minus sign instead of a hyphen, and with a power of ten: −1.25·10⁻⁴. */
+/** Returns a number as people read it, with a minus sign and a power of ten: −1.25·10⁻⁴. */
 export function typeset(text) {
   const [digits, exponent] = text.split("e");
-  return digits.replace("-", "−") + (exponent === undefined ? "" : `·${powerOfTen(Number(exponent))}`);
+  return inLanguage(digits).replace("-", "−") + (exponent === undefined ? "" : `·${powerOfTen(Number(exponent))}`);
 }
 
 /** Returns a power of ten: 10⁻⁴. */
@@ -201,8 +202,8 @@ export function count(value) {
 /** Formats an amount of payload. */
 export function bytes(count) {
   if (count < 1000) return `${count} B`;
-  if (count < 1e6) return `${(count / 1e3).toFixed(1)} kB`;
-  return `${(count / 1e6).toFixed(1)} MB`;
+  if (count < 1e6) return `${fixed(count / 1e3, 1)} kB`;
+  return `${fixed(count / 1e6, 1)} MB`;
 }
 
 /**
@@ -246,7 +247,7 @@ export function compared(channel) {
  */
 export function clockWords(clock, isReported) {
   if (!clock) return isReported ? { offset: t("at-the-frames"), clock: t("agrees") } : { offset: "–", clock: "–" };
-  const ms = (seconds) => `${(1000 * seconds).toFixed(2)} ms`;
+  const ms = (seconds) => `${fixed(1000 * seconds, 2)} ms`;
   const jitter = clock.jitter_s > 0 ? t("varies-by", ms(clock.jitter_s)) : "";
   const offset = `${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? t("before") : t("after")}${jitter}`;
   const difference = clock.difference_s ?? 0;
@@ -276,7 +277,7 @@ export function modeWords({ mode, time_ns: end, state, partner, estimate, presen
   const parts = [`${LEVELS[level].sign} ${mode}:`];
   if (estimate) {
     const { frequency_hz: f, frequency_std_hz: std, damping, damping_std: dampingStd } = estimate;
-    parts.push(t("hz-damping", f.toFixed(4), (f - 1.96 * std).toFixed(4), (f + 1.96 * std).toFixed(4), percent(damping, 2), percent(dampingStd, 2)));
+    parts.push(t("hz-damping", fixed(f, 4), fixed(f - 1.96 * std, 4), fixed(f + 1.96 * std, 4), percent(damping, 2), percent(dampingStd, 2)));
   }
   parts.push(t("in-the-epoch-to-found-in-of", wordOf(state), partner ? t("with", partner) : "", time(end / 1e9), percent(presence, 0)));
   if (machine) parts.push(t("a-machine-runs-at-this-frequency"));
@@ -290,7 +291,7 @@ const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alar
 export function judgementWords({ word: judged, sentence, change, seen, epoch_ns: epoch, measured }) {
   const level = seen ? "notice" : (JUDGEMENTS[judged] ?? "learning");
   const parts = [`${LEVELS[level].sign} ${wordOf(judged)}: ${sentence}`];
-  if (change) parts.push(t("found-on", new Date(change.found_ns / 1e6).toISOString().slice(0, 10)));
+  if (change) parts.push(t("found-on", inLanguage(new Date(change.found_ns / 1e6).toISOString().slice(0, 10))));
   if (seen) parts.push(t("judgement-seen-by", seen.who, seen.text));
   parts.push(epoch === null ? t("no-epoch-yet") : t("last-epoch", time(epoch / 1e9)));
   if (!measured) parts.push(t("contains-replayed-or-simulated-samples"));
@@ -298,13 +299,13 @@ export function judgementWords({ word: judged, sentence, change, seen, epoch_ns:
 }
 
 const signed = (value, digits) => {
-  const text = Math.abs(value).toFixed(digits);
-  return `${Number(text) === 0 ? "" : value < 0 ? "−" : "+"}${text}`;
+  const isZero = Number(value.toFixed(digits)) === 0;
+  return `${isZero ? "" : value < 0 ? "−" : "+"}${fixed(Math.abs(value), digits)}`;
 };
 
 /** Returns a value of a compared quantity, with the decimals of its kind. */
 export function comparedValue(value, of) {
-  return of ? `${value.toFixed(4)} ${of}` : ratio(value);
+  return of ? `${fixed(value, 4)} ${of}` : ratio(value);
 }
 
 /**
@@ -322,14 +323,14 @@ export function comparedMeans(change, first) {
     difference: `${share(change.difference)} %`,
     interval: t("to-per-cent", share(change.low), share(change.high)),
     result: isClear ? t("in-the-second-range", direction) : t("no-difference-shown"),
-    sentence: isClear ? t("is-per-cent-in-the-second-range", Math.abs((100 * change.difference) / first.mean).toFixed(1), direction, near.toFixed(1), far.toFixed(1), direction) : null,
+    sentence: isClear ? t("is-per-cent-in-the-second-range", fixed(Math.abs((100 * change.difference) / first.mean), 1), direction, fixed(near, 1), fixed(far, 1), direction) : null,
   };
 }
 
 /** Returns coordinates in words: 47.3760° N, 8.5470° E. Empty without any. */
 export function coordinatesOf(at) {
   if (!at) return "";
-  return `${Math.abs(at.latitude).toFixed(4)}° ${at.latitude < 0 ? "S" : "N"}, ${Math.abs(at.longitude).toFixed(4)}° ${at.longitude < 0 ? "W" : "E"}`;
+  return `${fixed(Math.abs(at.latitude), 4)}° ${at.latitude < 0 ? "S" : "N"}, ${fixed(Math.abs(at.longitude), 4)}° ${at.longitude < 0 ? "W" : "E"}`;
 }
 
 /** Returns a unit with typographic symbols. */

@@ -1,7 +1,7 @@
 // The plots of the year of a judged quantity.
 
 import { dateOf, noon } from "./course.js";
-import { t } from "./language.js";
+import { fixed, t } from "./language.js";
 import { Plot, css } from "./plot.js";
 import { drawShape } from "./shapes.js";
 import { AXES, number, typeset, unit, wordOf } from "./words.js";
@@ -175,7 +175,7 @@ export function evidencePlot(points, span) {
       return [LEAST_EVIDENCE, Math.min(Math.max(1.15 * threshold, 1.05 * (largest ?? 0)), MOST_THRESHOLDS * threshold)];
     },
     marks: () => [...found(points.course), ...(last() ? [{ y: last().ln_threshold, text: t("threshold"), colour: "--alarm" }] : [])],
-    readout: (row) => (row?.expectation ? t("evidence-of-cusum-at-per-cent-of", typeset(row.expectation.ln_evidence.toFixed(1)), row.expectation.ln_threshold.toFixed(1), (100 * row.expectation.cusum_share).toFixed(0)) : words(row)),
+    readout: (row) => (row?.expectation ? t("evidence-of-cusum-at-per-cent-of", typeset(row.expectation.ln_evidence.toFixed(1)), fixed(row.expectation.ln_threshold, 1), (100 * row.expectation.cusum_share).toFixed(0)) : words(row)),
   });
   return new Plot(plot, points, span);
 }
@@ -214,7 +214,7 @@ export class Extent {
 export function conditionScatter(points, span, extent) {
   const condition = () => points.course?.conditions[0];
   const looks = [...SEASONS, { ...KINDS.changed, shape: "cross" }];
-  const place = (row) => (row.kind === "changed" ? SEASONS.length : SEASONS.findIndex(({ months }) => months.includes(Number(dateOf(row.time).slice(5, 7)))));
+  const place = (row) => (row.kind === "changed" ? SEASONS.length : SEASONS.findIndex(({ months }) => months.includes(1 + new Date(1000 * row.time).getUTCMonth())));
   const plot = {
     title: t("measured-values-over-the-first-condition"),
     file: "scatter",

@@ -10,9 +10,11 @@ use crate::metrics::{self, metrics};
 use crate::overview::overview;
 use crate::page::{ASSETS, TRANSPORT_SECURITY, with_headers};
 use crate::reports::WantedReport;
+use crate::samples::{self, WantedSamples};
 use crate::server::{Server, now_ns};
 use crate::serving::ClientAddress;
 use crate::store::Store;
+use crate::stretch::Stretch;
 use crate::view::{Standing, changes, standing_alerts};
 use axum::extract::rejection::{JsonRejection, QueryRejection};
 use axum::extract::ws::WebSocketUpgrade;
@@ -62,6 +64,11 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             "/api/structures/{structure}/spectra",
             Method::GET,
             get(spectra),
+        ),
+        (
+            "/api/structures/{structure}/samples",
+            Method::GET,
+            get(read_samples),
         ),
         (
             "/api/structures/{structure}/judgements/{quantity}/course",
@@ -299,6 +306,58 @@ fn csv(name: &str, text: String) -> Response {
         ),
     ];
     (headers, text).into_response()
+}
+
+async fn read_samples(
+    State(server): Shared,
+    Path(name): Path<String>,
+    asked: Result<Query<samples::Asked>, QueryRejection>,
+) -> Result<Response, Mistake> {
+    let Query(asked) = asked?;
+    let (wanted, sensors, rate_hz) = {
+        let store = find(&server, &name)?;
+        let (sensors, rate_hz) = (&store.about.drawing.sensors, store.about.sampling_rate_hz);
+        let wanted = WantedSamples::new(&asked, sensors.len(), rate_hz)?;
+        (wanted, sensors.clone(), rate_hz)
+    };
+    let unavailable =
+        |what: &str, allowed: &str| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, what, allowed);
+    let place = server.admit_export().ok_or_else(|| {
+        unavailable(
+            "another export of samples is running",
+            "try again in a few seconds",
+        )
+    })?;
+    let stretch = Stretch::new(wanted.from_ns, wanted.to_ns, sensors.len());
+    let stretch = server.read_stretch(&name, stretch).await?.ok_or_else(|| {
+        unavailable(
+            "the service ingest does not answer",
+            "must run for this structure; try again",
+        )
+    })?;
+    if stretch.times_ns.is_empty() {
+        return Err(Mistake::new(
+            StatusCode::NOT_FOUND,
+            "no samples in this range",
+            "must be a range that ingest has recorded and still keeps",
+        ));
+    }
+    let write = move || {
+        let response = wanted.write(&name, stretch, &sensors, rate_hz);
+        drop(place); // the memory of the samples is free again
+        response
+    };
+    let written = tokio::task::spawn_blocking(write).await;
+    let failed = |error: String| {
+        Mistake::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            error,
+            "try another format",
+        )
+    };
+    written
+        .map_err(|error| failed(error.to_string()))?
+        .map_err(|error| failed(error.to_string()))
 }
 
 async fn read_course(

@@ -30,7 +30,7 @@
 //! and `overview` (what needs attention, and why), `frequencies` (the same without a model),
 //! `levels` (samples of the last minute), `conditions` (temperatures and the like), `view` (data for
 //! the page), `history` (spans of time), `judgements` (years of a judged quantity),
-//! `reports` (reports of earthquakes).
+//! `reports` (reports of earthquakes), `stretch` and `samples` (samples of a range as a file).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
 //! heads), `gate` and `entrance` (who may do what).
@@ -62,6 +62,8 @@ mod view;
 mod history;
 mod judgements;
 mod reports;
+mod samples;
+mod stretch;
 
 mod server;
 

@@ -90,6 +90,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/now.js", SCRIPT, "../page/now.js"),
     asset!("/parameters.js", SCRIPT, "../page/parameters.js"),
     asset!("/ranges.js", SCRIPT, "../page/ranges.js"),
+    asset!("/samples.js", SCRIPT, "../page/samples.js"),
     asset!("/search.js", SCRIPT, "../page/search.js"),
     asset!("/sensors.js", SCRIPT, "../page/sensors.js"),
     asset!("/settings.js", SCRIPT, "../page/settings.js"),

@@ -4,16 +4,17 @@ use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
 use crate::store::Store;
+use crate::stretch::{Stretch, Unreadable};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusError, HistorySpan, JudgementCourse, Keys,
-    Name, ReportPage, SpanQuery,
+    Acknowledgement, AlertMessage, AlertState, Bus, BusError, FrameBlock, HistorySpan,
+    JudgementCourse, Keys, Name, ReportPage, SpanQuery,
 };
 use spandrel_listener::Input;
 use spandrel_service::Clock;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::watch;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 use tracing::warn;
 
@@ -29,6 +30,12 @@ const REPORT_WITHIN: Duration = Duration::from_secs(5);
 /// Time limit for a reply of the history service.
 const HISTORY_WITHIN: Duration = Duration::from_secs(3);
 
+/// Time limit for a reply of ingest with some frames.
+const FRAMES_WITHIN: Duration = Duration::from_secs(3);
+
+/// Maximum number of concurrent exports of samples, because each one takes much memory.
+const MOST_EXPORTS: usize = 1;
+
 /// Time limit for the alert service to confirm an acknowledgement.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
@@ -41,6 +48,7 @@ pub(crate) struct Server {
     bus: Bus,
     structures: Vec<(Keys, Mutex<Store>)>,
     clients: AtomicUsize,
+    exports: Arc<Semaphore>,
     stopped: watch::Sender<bool>,
     gate: Gate,
     cannot_acknowledge: Option<String>,
@@ -49,7 +57,7 @@ pub(crate) struct Server {
 
 /// A place for one WebSocket client. It becomes free when dropped.
 #[derive(Debug)]
-pub(crate) struct ClientPlace(std::sync::Arc<Server>);
+pub(crate) struct ClientPlace(Arc<Server>);
 
 impl Drop for ClientPlace {
     fn drop(&mut self) {
@@ -78,6 +86,7 @@ impl Server {
             bus,
             structures,
             clients,
+            exports: Arc::new(Semaphore::new(MOST_EXPORTS)),
             stopped,
             gate,
             cannot_acknowledge,
@@ -258,8 +267,39 @@ impl Server {
         answers.into_iter().map(|(_, page)| page).next()
     }
 
+    /// Reads the frames of a stretch from the recording of ingest. Returns `None` if ingest does not
+    /// reply in time.
+    pub(crate) async fn read_stretch(
+        &self,
+        structure: &str,
+        mut stretch: Stretch,
+    ) -> Result<Option<Stretch>, Unreadable> {
+        let mut structures = self.structures.iter();
+        let Some((keys, _)) = structures.find(|(keys, _)| keys.structure().as_str() == structure)
+        else {
+            return Ok(None);
+        };
+        let key = keys.recording();
+        while let Some(range) = stretch.next() {
+            let answer = self.bus.ask_past::<FrameBlock>(&key, range, FRAMES_WITHIN);
+            let answer = answer.await.inspect_err(|error| {
+                warn!(%error, "cannot query the recording");
+            });
+            match answer.ok().flatten() {
+                Some(answer) => stretch.take(&answer)?,
+                None => return Ok(None),
+            }
+        }
+        Ok(Some(stretch))
+    }
+
+    /// Reserves the place for an export of samples. Returns `None` if another one is running.
+    pub(crate) fn admit_export(&self) -> Option<OwnedSemaphorePermit> {
+        self.exports.clone().try_acquire_owned().ok()
+    }
+
     /// Reserves a place for one more client. Returns `None` if all places are taken.
-    pub(crate) fn admit(self: &std::sync::Arc<Self>) -> Option<ClientPlace> {
+    pub(crate) fn admit(self: &Arc<Self>) -> Option<ClientPlace> {
         let admitted = self
             .clients
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |clients| {

@@ -1,14 +1,17 @@
 //! Writes a recording in memory to a file, in SI units where the original units are known.
 
+use std::fs::File;
+use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 
 use crate::{
     ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader,
-    RecordedChannel, RecordedFile, RecordedRows, formats::table::unit_of, resample::resampled,
+    RecordedChannel, RecordedFile, RecordedRows, formats::table::unit_of,
+    mini_seed_writer::MiniSeedWriter, resample::resampled,
 };
 
 /// Extensions of supported output files.
-const OUTPUTS: &[&str] = &[".csv", ".mcap"];
+const OUTPUTS: &[&str] = &[".csv", ".mcap", ".mseed"];
 
 /// A format for writing recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,6 +20,8 @@ pub enum OutputFormat {
     Csv,
     /// MCAP, with independent channels.
     Mcap,
+    /// miniSEED 2, with independent channels.
+    MiniSeed,
 }
 
 impl OutputFormat {
@@ -33,6 +38,7 @@ impl OutputFormat {
         match ending.as_str() {
             "csv" => Ok(Self::Csv),
             "mcap" => Ok(Self::Mcap),
+            "mseed" => Ok(Self::MiniSeed),
             _ => Err(RecordError::UnknownOutput {
                 path: path.to_owned(),
                 allowed: OUTPUTS,
@@ -113,23 +119,43 @@ impl RecordedFile {
         Ok(())
     }
 
-    /// Writes the recording as CSV or MCAP, depending on the extension `.csv` or `.mcap`.
+    /// Writes the recording as CSV, MCAP or miniSEED, depending on the extension `.csv`, `.mcap` or
+    /// `.mseed`.
+    ///
+    /// # Errors
+    /// The extension is not supported, or one of the errors of [`Self::write_to`] occurs.
+    pub fn write(&self, path: &Path) -> Result<(), RecordError> {
+        let format = OutputFormat::of(path)?;
+        let file = File::create(path).map_err(|source| RecordError::Open {
+            path: path.to_owned(),
+            source,
+        })?;
+        self.write_to(format, path, BufWriter::new(file))
+    }
+
+    /// Writes the recording in a format to `output`. Errors name `path`.
     ///
     /// Values with a known unit are converted to SI units. Other values remain unchanged. In CSV,
     /// the unit follows the name in brackets: `roof [g]` becomes `roof [m/s2]`. In MCAP, the unit
     /// is part of the metadata. In CSV, the times of dated channels are seconds since 1970.
     ///
     /// # Errors
-    /// The extension is not supported, the file cannot be written, or the channels do not match the
-    /// format. In CSV, all channels must have the same sampling rate.
-    pub fn write(&self, path: &Path) -> Result<(), RecordError> {
-        match OutputFormat::of(path)? {
-            OutputFormat::Csv => self.write_csv(path),
-            OutputFormat::Mcap => self.write_mcap(path),
+    /// The output cannot be written, or the channels do not match the format. In CSV, all channels
+    /// must have the same sampling rate.
+    pub fn write_to(
+        &self,
+        format: OutputFormat,
+        path: &Path,
+        output: impl Write + Seek,
+    ) -> Result<(), RecordError> {
+        match format {
+            OutputFormat::Csv => self.write_csv(path, output),
+            OutputFormat::Mcap => self.write_mcap(path, output),
+            OutputFormat::MiniSeed => self.write_mini_seed(path, output),
         }
     }
 
-    fn write_csv(&self, path: &Path) -> Result<(), RecordError> {
+    fn write_csv(&self, path: &Path, output: impl Write) -> Result<(), RecordError> {
         let column = |channel: &RecordedChannel| {
             let column = ChannelColumn::new(name_with_unit(channel)).with_column(channel.name());
             match channel.quantity() {
@@ -139,14 +165,16 @@ impl RecordedFile {
         };
         let mapping = ColumnMapping::new(self.channels().iter().map(column).collect());
         let mut rows = RecordedRows::new(self, &mapping)?;
-        let mut writer = CsvWriter::create(path, rows.channels())?;
+        let columns = ColumnMapping::by_name(rows.channels());
+        let mut writer = CsvWriter::new(output, path, &columns)?;
         while let Some(row) = rows.next_row()? {
             writer.write_row(row.time_ns, row.values)?;
         }
         writer.finish()
     }
 
-    fn write_mcap(&self, path: &Path) -> Result<(), RecordError> {
+    /// Checks that all channels have times.
+    fn check_rates(&self) -> Result<(), RecordError> {
         if let Some(channel) = self
             .channels()
             .iter()
@@ -157,6 +185,25 @@ impl RecordedFile {
                 channel: channel.name().to_owned(),
             });
         }
+        Ok(())
+    }
+
+    fn write_mini_seed(&self, path: &Path, output: impl Write) -> Result<(), RecordError> {
+        self.check_rates()?;
+        let refused = |source| RecordError::WriteMiniSeed {
+            path: path.to_owned(),
+            source,
+        };
+        let mut writer = MiniSeedWriter::new(output);
+        for (index, channel) in self.channels().iter().enumerate() {
+            let factor = channel.quantity().map_or(1.0, |(_, factor)| factor);
+            writer.write(index + 1, channel, factor).map_err(refused)?;
+        }
+        writer.finish().map_err(refused)
+    }
+
+    fn write_mcap(&self, path: &Path, output: impl Write + Seek) -> Result<(), RecordError> {
+        self.check_rates()?;
         let stated = |channel: &RecordedChannel| McapChannel {
             name: name_in_si(channel).to_owned(),
             unit: written_unit(channel).to_owned(),
@@ -164,7 +211,8 @@ impl RecordedFile {
             sampling_rate_hz: channel.sampling_rate_hz(),
             origin: channel.origin(),
         };
-        let mut writer = McapWriter::create(
+        let mut writer = McapWriter::new(
+            output,
             path,
             &self.channels().iter().map(stated).collect::<Vec<_>>(),
         )?;
@@ -459,7 +507,7 @@ mod tests {
         let told = file().write(Path::new("out.xlsx")).unwrap_err().to_string();
         assert_eq!(
             told,
-            "out.xlsx: cannot be written, its name must end in .csv or .mcap"
+            "out.xlsx: cannot be written, its name must end in .csv or .mcap or .mseed"
         );
     }
 

@@ -3,6 +3,7 @@
 use std::{
     fmt::Write as _,
     fs::File,
+    io::Write,
     path::{Path, PathBuf},
 };
 
@@ -14,9 +15,9 @@ use crate::{
 ///
 /// Numbers have the digits required to read back bit-identical values. A missing sample is an empty
 /// field.
-pub struct CsvWriter {
+pub struct CsvWriter<W: Write = File> {
     path: PathBuf,
-    csv: csv::Writer<File>,
+    csv: csv::Writer<W>,
     columns: Vec<ChannelColumn>,
     line: u64,
     text: String,
@@ -44,11 +45,22 @@ impl CsvWriter {
             path: path.to_owned(),
             source,
         })?;
+        Self::new(file, path, mapping)
+    }
+}
+
+impl<W: Write> CsvWriter<W> {
+    /// Writes the header of a file to `output`, with the columns, units and time column of
+    /// `mapping`. Errors name `path`.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn new(output: W, path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let mut writer = Self {
             path: path.to_owned(),
             csv: csv::WriterBuilder::new()
                 .buffer_capacity(WRITE_BUFFER_BYTES)
-                .from_writer(file),
+                .from_writer(output),
             columns: mapping.channels().to_vec(),
             line: 1,
             text: String::new(),

@@ -159,6 +159,14 @@ pub enum RecordError {
         /// The allowed values.
         what: &'static str,
     },
+    /// Writing a miniSEED file failed.
+    #[error("{}: cannot be written", path.display())]
+    WriteMiniSeed {
+        /// The file.
+        path: PathBuf,
+        /// The error of the operating system, or the time that has no date.
+        source: std::io::Error,
+    },
     /// Writing an MCAP file failed.
     #[error("{}: cannot be written", path.display())]
     WriteMcap {

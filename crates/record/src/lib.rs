@@ -32,7 +32,7 @@
 //!   offsets
 //! - [`spectrum`], [`recording_summary`]: summarise the content of a recording
 //! - [`csv_writer`], [`mcap_writer`], [`record_writer`], [`estimate_writer`], [`convert`]: write
-//!   files
+//!   files; [`convert`] also writes miniSEED
 //! - [`frame_log`]: records frames on disk before they are published
 //!
 //! Samples are resampled or filtered only on request, and never interpolated. Alignment, not
@@ -51,6 +51,7 @@ mod formats;
 pub mod frame_log;
 mod mcap_record;
 pub mod mcap_writer;
+mod mini_seed_writer;
 pub mod quantity;
 mod rate;
 pub mod record_reader;

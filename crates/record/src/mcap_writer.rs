@@ -7,7 +7,7 @@ use std::{
     collections::BTreeMap,
     fmt::Write as _,
     fs::File,
-    io::BufWriter,
+    io::{BufWriter, Seek, Write},
     path::{Path, PathBuf},
 };
 
@@ -41,9 +41,9 @@ pub struct McapChannel {
 ///
 /// After every 4096 samples, a complete chunk is written to the operating system. If the process is
 /// killed, the file is readable up to the last complete chunk.
-pub struct McapWriter {
+pub struct McapWriter<W: Write + Seek = BufWriter<File>> {
     path: PathBuf,
-    writer: Writer<BufWriter<File>>,
+    writer: Writer<W>,
     channels: Vec<(u16, u32)>,
     columns: Vec<ChannelColumn>,
     in_chunk: u32,
@@ -60,36 +60,7 @@ impl McapWriter {
             path: path.to_owned(),
             source,
         })?;
-        let refused = |source| RecordError::WriteMcap {
-            path: path.to_owned(),
-            source: Box::new(source),
-        };
-        let mut writer = WriteOptions::new()
-            .library(concat!("spandrel ", env!("CARGO_PKG_VERSION")))
-            // Chunks are written when complete. An incomplete chunk would state a length of zero.
-            .disable_seeking(true)
-            // Compress on this thread. A separate thread is slower for chunks this small.
-            .compression_threads(0)
-            .create(BufWriter::new(file))
-            .map_err(refused)?;
-        let schema = writer
-            .add_schema(SCHEMA_NAME, "jsonschema", schema().as_bytes())
-            .map_err(refused)?;
-        let mut numbers = Vec::new();
-        for channel in channels {
-            let number = writer
-                .add_channel(schema, &channel.name, "json", &channel.metadata())
-                .map_err(refused)?;
-            numbers.push((number, 0));
-        }
-        Ok(Self {
-            path: path.to_owned(),
-            writer,
-            channels: numbers,
-            columns: Vec::new(),
-            in_chunk: 0,
-            text: String::new(),
-        })
+        Self::new(BufWriter::new(file), path, channels)
     }
 
     /// Creates a file for rows at `rate_hz` (Hz), with the columns and units of `mapping`. Times
@@ -113,6 +84,45 @@ impl McapWriter {
         Ok(Self {
             columns: mapping.channels().to_vec(),
             ..Self::create(path, &channels)?
+        })
+    }
+}
+
+impl<W: Write + Seek> McapWriter<W> {
+    /// Writes the metadata of the channels to `output`. Errors name `path`.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn new(output: W, path: &Path, channels: &[McapChannel]) -> Result<Self, RecordError> {
+        let refused = |source| RecordError::WriteMcap {
+            path: path.to_owned(),
+            source: Box::new(source),
+        };
+        let mut writer = WriteOptions::new()
+            .library(concat!("spandrel ", env!("CARGO_PKG_VERSION")))
+            // Chunks are written when complete. An incomplete chunk would state a length of zero.
+            .disable_seeking(true)
+            // Compress on this thread. A separate thread is slower for chunks this small.
+            .compression_threads(0)
+            .create(output)
+            .map_err(refused)?;
+        let schema = writer
+            .add_schema(SCHEMA_NAME, "jsonschema", schema().as_bytes())
+            .map_err(refused)?;
+        let mut numbers = Vec::new();
+        for channel in channels {
+            let number = writer
+                .add_channel(schema, &channel.name, "json", &channel.metadata())
+                .map_err(refused)?;
+            numbers.push((number, 0));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            writer,
+            channels: numbers,
+            columns: Vec::new(),
+            in_chunk: 0,
+            text: String::new(),
         })
     }
 

@@ -4,6 +4,9 @@ use std::path::Path;
 
 use crate::{ColumnMapping, CsvWriter, McapWriter, OutputFormat, RecordError};
 
+/// Extensions of formats that are written row by row. miniSEED is written channel by channel.
+const ROW_OUTPUTS: &[&str] = &[".csv", ".mcap"];
+
 /// A writer of records, row by row, as CSV or MCAP.
 pub enum RecordWriter {
     /// Comma-separated values.
@@ -25,6 +28,10 @@ impl RecordWriter {
             }
             OutputFormat::Mcap => McapWriter::create_mapped(path, mapping, rate_hz)
                 .map(|writer| Self::Mcap(Box::new(writer))),
+            OutputFormat::MiniSeed => Err(RecordError::UnknownOutput {
+                path: path.to_owned(),
+                allowed: ROW_OUTPUTS,
+            }),
         }
     }
 

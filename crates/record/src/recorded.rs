@@ -85,7 +85,7 @@ impl RecordedChannel {
     ///
     /// The times determine the rate if it is not stated. A sample that is off the grid of the rate
     /// by more than half a step begins a new segment.
-    pub(crate) fn from_times(
+    pub fn from_times(
         name: impl Into<String>,
         stated_rate_hz: Option<f64>,
         times_ns: &[i64],

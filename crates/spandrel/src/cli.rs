@@ -159,7 +159,7 @@ pub enum Command {
     #[command(after_help = "Examples: spandrel info bridge.mseed\n          \
                       spandrel info tower.dat --rate 100 --json")]
     Info(InfoArguments),
-    /// Convert a recording to .csv or .mcap, in SI units if its units are known.
+    /// Convert a recording to .csv, .mcap or .mseed, in SI units if its units are known.
     #[command(
         after_help = "Examples: spandrel convert event.zip event.mcap\n          \
                       spandrel convert modal-test.uff modal-test.csv --resample 200"
@@ -640,7 +640,7 @@ pub struct SimulateArguments {
     /// Write the record to this file instead of publishing it.
     ///
     /// Columns and units follow the record table of the structure file.
-    #[arg(long, value_name = "OUT.csv|OUT.mcap")]
+    #[arg(long, value_name = "OUT.csv|OUT.mcap|OUT.mseed")]
     pub record: Option<PathBuf>,
     /// Length (s) [default: unlimited on the bus, 120 s for a file].
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
@@ -790,7 +790,7 @@ pub struct ConvertArguments {
     /// Output file.
     ///
     /// Its extension determines the format.
-    #[arg(value_name = "OUT.csv|OUT.mcap")]
+    #[arg(value_name = "OUT.csv|OUT.mcap|OUT.mseed")]
     pub output: PathBuf,
     /// Resample all channels to this rate (Hz), with an anti-aliasing filter.
     #[arg(long, value_name = "HZ", value_parser = positive, allow_negative_numbers = true)]

@@ -261,6 +261,7 @@ async fn only_the_files_of_the_page_are_served_without_a_token() {
     for path in [
         "/api/structures",
         "/api/structures/demo",
+        "/api/structures/demo/samples?from=0&to=1&format=csv",
         "/api/alerts",
         "/api/live",
         "/api/openapi.json",
