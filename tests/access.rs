@@ -14,6 +14,7 @@ use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::time::Duration;
 use zenoh::Session;
+use zenoh::qos::CongestionControl;
 use zenoh::sample::{Sample, SampleKind};
 
 /// One party of each role. Parties of a structure or node belong to structure `demo` and node
@@ -537,9 +538,16 @@ async fn the_router_logs_refused_certificates_and_messages() {
     data_settled(grace.session()).await;
 
     let ada = site.join("viewer.ada").await;
-    let declared = ada.session().declare_publisher(key.clone()).await.unwrap();
+    // A busy machine drops messages of the default congestion control before they are sent.
+    let session = ada.session();
+    let declared = session.declare_publisher(key.clone());
+    let declared = declared.congestion_control(CongestionControl::Block);
+    let declared = declared.await.unwrap();
     for _ in 0..MANY {
-        ada.session().put(&keys.event(), "x").await.unwrap();
+        let put = session.put(&keys.event(), "x");
+        put.congestion_control(CongestionControl::Block)
+            .await
+            .unwrap();
         declared.put("x").await.unwrap();
     }
     let named = "what=\"bus-right\" who=\"viewer.ada (127.0.0.1)\" why=\"Put on ";
