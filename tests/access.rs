@@ -539,13 +539,14 @@ async fn the_router_logs_refused_certificates_and_messages() {
 
     let ada = site.join("viewer.ada").await;
     // A busy machine drops messages of the default congestion control before they are sent.
-    let session = ada.session();
+    let (session, event) = (ada.session(), keys.event());
     let declared = session.declare_publisher(key.clone());
     let declared = declared.congestion_control(CongestionControl::Block);
     let declared = declared.await.unwrap();
     for _ in 0..MANY {
-        let put = session.put(&keys.event(), "x");
-        put.congestion_control(CongestionControl::Block)
+        session
+            .put(&event, "x")
+            .congestion_control(CongestionControl::Block)
             .await
             .unwrap();
         declared.put("x").await.unwrap();
