@@ -640,7 +640,7 @@ pub struct SimulateArguments {
     /// Write the record to this file instead of publishing it.
     ///
     /// Columns and units follow the record table of the structure file.
-    #[arg(long, value_name = "OUT.csv|OUT.mcap|OUT.mseed")]
+    #[arg(long, value_name = "OUT.csv|OUT.mcap")]
     pub record: Option<PathBuf>,
     /// Length (s) [default: unlimited on the bus, 120 s for a file].
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
