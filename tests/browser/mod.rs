@@ -709,8 +709,8 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
             &format!("{first} < '{}'", newest.as_str().unwrap()),
         )
         .await;
-    // A busy machine drops single display values, so that the nearest ones can differ by a second or
-    // two. The crosshair has moved by sixty.
+    // A busy machine drops display values, so that the nearest ones can be in different seconds. The
+    // crosshair has moved by sixty values, which are six seconds.
     let time = |clock: &str| format!("Date.parse('1970-01-01T' + {clock})");
     let apart_ms = format!("Math.abs({} - {})", time(&first), time(&second));
     browser

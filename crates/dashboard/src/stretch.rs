@@ -1,8 +1,9 @@
 //! Selects the frames of a time range from the recording of ingest.
 //!
 //! [`Stretch`] is a pure state machine: it states the next query, and takes the reply. The recording
-//! may have several epochs. Each one has its own numbers and times of frames, so the first query of
-//! an epoch is for one frame, whose number and time give the numbers of the wanted frames.
+//! may have several epochs, each with its own numbers and times of frames. The first query of an epoch
+//! is therefore for one frame. Its number and time give the numbers of the wanted frames. Every query
+//! is for later frames than the one before, whatever the reply contains, so that the queries end.
 
 use spandrel_bus::{Answer, Block, FrameBlock, QueryRange};
 
@@ -66,15 +67,16 @@ impl Stretch {
         }
         let first_ns = grid.time_ns(block.header.sequence);
         let wanted = u64::try_from(grid.nearest(self.from_ns)).unwrap_or(0);
-        let is_over = block.count() == 0 || first_ns > self.to_ns;
-        self.next = Some(match is_over {
-            true => first_frame(epoch.saturating_add(1)),
-            false => QueryRange {
+        let is_repeated = Some(epoch) == asked.epoch && block.end() <= asked.after;
+        let is_over = block.count() == 0 || is_repeated || first_ns > self.to_ns;
+        self.next = match is_over {
+            true => epoch.checked_add(1).map(first_frame),
+            false => Some(QueryRange {
                 after: block.end().max(wanted),
                 limit: FRAMES,
                 epoch: Some(epoch),
-            },
-        });
+            }),
+        };
         for (number, frame) in block.iter() {
             let time_ns = grid.time_ns(number);
             if (self.from_ns..=self.to_ns).contains(&time_ns) {
@@ -194,6 +196,21 @@ mod tests {
         assert!(stretch.times_ns.is_sorted_by(|a, b| a < b));
         let epochs = &stretch.columns[1];
         assert_eq!((epochs[49], epochs[50], epochs[150]), (1.0, 4.0, 6.0));
+    }
+
+    // One faulty reply kept the only place for an export busy as long as the browser waited.
+    #[test]
+    fn repeated_reply_ends_the_queries() {
+        for epoch in [7, u64::MAX] {
+            let same = Answer::Block(block(&Epoch(epoch, 0, 10), 0, 1));
+            let mut stretch = Stretch::new(0, i64::MAX, 2);
+            let mut queries = 0;
+            while stretch.next().is_some() {
+                queries += 1;
+                assert!(queries < 100, "the queries do not end");
+                stretch.take(&same).unwrap();
+            }
+        }
     }
 
     #[test]

@@ -381,6 +381,103 @@ mod tests {
         Structure::parse(text, Path::new("example.toml")).unwrap_or_else(|error| panic!("{error}"))
     }
 
+    /// Returns the sums as the formulas of this module state them, without whitening.
+    fn plain(
+        model: &SpectralModel<'_>,
+        truth: &SpectralModel<'_>,
+        directions: &[Direction],
+    ) -> (DMatrix<f64>, DVector<f64>) {
+        let len = directions.len();
+        let (mut information, mut slope) = (DMatrix::zeros(len, len), DVector::zeros(len));
+        let resolved = [&model.linearised, &truth.linearised];
+        let squared = model.known.iter().map(|known| Complex::from(known * known));
+        let known = Complexes::from_diagonal(&DVector::from_iterator(model.known.len(), squared));
+        for frequency in frequencies(&resolved, model.structure.step_s()) {
+            let found = model.linearised.responses(&[frequency]).unwrap();
+            let (g, other) = (
+                &found.transfers[0],
+                truth.linearised.transfer(frequency.omega),
+            );
+            let other = other.unwrap();
+            let phi = model.unpredicted(g);
+            let inverse = phi.clone().try_inverse().unwrap();
+            let error = &other - g;
+            let excess = truth.unpredicted(&other) + &error * &known * error.adjoint() - phi;
+            let of_part = |level: usize| match &model.parts[level] {
+                Part::Excitation(covariance) => g * covariance * g.adjoint(),
+                Part::Sensors(variances) => Complexes::from_diagonal(&variances.map(Complex::from)),
+            };
+            let derivatives = |direction: &Direction| match direction {
+                Direction::Parameter(parameter) => {
+                    let of_g = found.slopes[*parameter][0].clone();
+                    let half = &of_g * &model.unknown * g.adjoint();
+                    (&half + half.adjoint(), of_g)
+                }
+                Direction::Level(level) => (of_part(*level), &error * Complex::from(0.0)),
+                Direction::Colour { level, octave } => {
+                    let share = model.structure.octave_share(*octave, frequency.omega);
+                    let of_phi = of_part(*level) * Complex::from(share);
+                    (of_phi, &error * Complex::from(0.0))
+                }
+            };
+            let all: Vec<_> = directions.iter().map(derivatives).collect();
+            let term =
+                |(of_phi, of_g): &(Complexes, Complexes), by_phi: &Complexes, by_g: &Complexes| {
+                    let full: Complexes = &known * of_g.adjoint() * &inverse * by_g;
+                    let half: Complexes = &inverse * of_phi * &inverse * by_phi;
+                    frequency.weight * (full.trace().re + 0.5 * half.trace().re)
+                };
+            for (row, own) in all.iter().enumerate() {
+                slope[row] += term(own, &excess, &error);
+                for (column, (by_phi, by_g)) in all.iter().enumerate() {
+                    information[(row, column)] += term(own, by_phi, by_g);
+                }
+            }
+        }
+        (information, slope)
+    }
+
+    #[test]
+    fn sums_are_those_of_the_formulas() {
+        for text in [DEMO, OUTPUT_ONLY] {
+            let structure = parse(text);
+            let mut other = structure.clone();
+            other.system.damping = structure.system.damping.times(1.5);
+            let (means, variances) = (structure.prior_means(), structure.expected_variances());
+            let louder: Vec<f64> = variances.iter().map(|variance| 1.3 * variance).collect();
+            let model = SpectralModel::new(&structure, &means, &variances);
+            let truth = SpectralModel::new(&other, &means, &louder);
+            let mut directions: Vec<Direction> =
+                (0..means.len()).map(Direction::Parameter).collect();
+            for level in 0..variances.len() {
+                directions.push(Direction::Level(level));
+                directions.push(Direction::Colour { level, octave: 2 });
+            }
+            let found = model.sums(Some(&truth), &directions).unwrap();
+            let (information, slope) = plain(&model, &truth, &directions);
+            // Relative to the diagonal, because the directions have different units.
+            let scale = |index: usize| information[(index, index)].sqrt();
+            for row in (0..directions.len()).filter(|row| scale(*row) > 0.0) {
+                let apart = (found.slope[row] - slope[row]).abs();
+                assert!(
+                    apart < 1e-8 * scale(row),
+                    "slope {:?}: {apart}",
+                    directions[row]
+                );
+                for column in (0..directions.len()).filter(|column| scale(*column) > 0.0) {
+                    let entry = (row, column);
+                    let apart = (found.information[entry] - information[entry]).abs();
+                    assert!(
+                        apart < 1e-8 * scale(row) * scale(column),
+                        "{:?} with {:?}: {apart}",
+                        directions[row],
+                        directions[column]
+                    );
+                }
+            }
+        }
+    }
+
     /// Both methods count the same information: one in time with filters on simulated data, the
     /// other by frequency without data.
     #[test]

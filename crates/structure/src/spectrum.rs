@@ -154,7 +154,7 @@ impl Linearised {
     }
 }
 
-/// Returns `∂G` for each of `motions` (of which `all` contains the columns).
+/// Returns `∂G` for each of `motions`. `all` contains the columns of all `U`.
 fn slope_of_transfers(
     slope: &LinearForm,
     motions: &[Motion],
