@@ -15,6 +15,13 @@ impl<T> Computed<T> {
     }
 }
 
+impl<T: Clone> Computed<T> {
+    /// Returns the result for a changed structure, for which it is right as well.
+    pub(crate) fn kept(&self) -> Self {
+        Self(self.0.clone())
+    }
+}
+
 impl<T> Default for Computed<T> {
     fn default() -> Self {
         Self(OnceLock::new())

@@ -19,7 +19,7 @@ use crate::noise_level::NoiseSource;
 use crate::simulator::Simulator;
 use crate::steady_filter::{NoiseCovariances, SampledModel, SteadyFilter, Tangent};
 use crate::structure::Structure;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DMatrixViewMut, DVector};
 use rayon::prelude::*;
 
 /// Number of parameters between two reports of the completed share.
@@ -195,8 +195,11 @@ struct Simulated<'s> {
     on_share: &'s dyn Fn(f64),
 }
 
-/// Number of frames whose effects on the derivatives are computed at once.
+/// Number of frames whose derivatives are computed at once.
 const BLOCK: u64 = 64;
+
+/// Number of derivatives that one thread computes at once.
+const SHARE: usize = 64;
 
 /// The data of the filter in some consecutive frames, a column for each.
 struct Block {
@@ -206,45 +209,66 @@ struct Block {
     innovations: DMatrix<f64>,
 }
 
+/// A derivative of the filter whose `∂û` runs from frame to frame.
+struct Course<'t> {
+    /// `∂K`, or what the extended filter adds to it (2 N_d × N_0).
+    gain: &'t DMatrix<f64>,
+    /// See [`Tangent::by_motion`], with `L⁻¹` before the rows of `∂ν`.
+    by_motion: Option<DMatrix<f64>>,
+}
+
 impl Simulated<'_> {
     fn means(&self, mut filter: SteadyFilter, tangents: &[Tangent], lower: &DMatrix<f64>) -> Means {
         let mut data = Data::new(self.structure, self.seed);
         let (rows, states) = filter.model().observation.shape();
-        let held: Vec<&DMatrix<f64>> = tangents
-            .iter()
-            .filter_map(|tangent| tangent.held_gain.as_ref())
-            .collect();
-        let (all, theta) = (tangents.len(), held.len());
+        let whole = tangents.iter().map(|tangent| Course {
+            gain: &tangent.gain,
+            by_motion: tangent.by_motion.as_ref().map(|by_motion| {
+                let mut by_motion = by_motion.clone();
+                lower.solve_lower_triangular_mut(&mut by_motion.rows_mut(states, rows));
+                by_motion
+            }),
+        });
+        let held = tangents.iter().filter_map(|tangent| {
+            let gain = tangent.held_gain.as_ref()?;
+            let by_motion = None;
+            Some(Course { gain, by_motion })
+        });
+        let courses: Vec<Course> = whole.chain(held).collect();
+        let (all, theta) = (tangents.len(), courses.len() - tangents.len());
+        let mut advance = DMatrix::zeros(states + rows, states); // [Ā; −L⁻¹ H]
+        advance.rows_mut(0, states).copy_from(filter.closed());
+        let mut seen = advance.rows_mut(states, rows);
+        seen.copy_from(&-&filter.model().observation);
+        lower.solve_lower_triangular_mut(&mut seen);
         // `∂û` of all unknowns, and how much more it is in the extended filter
-        let mut moved = DMatrix::zeros(states, all + theta);
-        let mut next = moved.clone();
-        let mut derivatives = DMatrix::zeros(rows, all + theta);
-        let mut products = DMatrix::zeros(all + theta, all + theta);
+        let mut moved = DMatrix::zeros(states, courses.len());
+        let mut products = DMatrix::zeros(courses.len(), courses.len());
         for first in (0..self.frames).step_by(BLOCK as usize) {
             (self.on_share)(first as f64 / self.frames as f64);
             let len = BLOCK.min(self.frames - first) as usize;
             let block = data.block(&mut filter, len);
-            let pushes = tangents.iter().map(|tangent| block.pushes(tangent, states));
-            let of_held = held.iter().map(|gain| *gain * &block.innovations);
-            let pushes: Vec<DMatrix<f64>> = pushes.chain(of_held).collect();
-            for frame in 0..len {
-                derivatives.gemm(-1.0, &filter.model().observation, &moved, 0.0); // −H ∂û
-                next.gemm(1.0, filter.closed(), &moved, 0.0); // Ā ∂û
-                for (unknown, push) in pushes.iter().enumerate() {
-                    let push = push.column(frame);
-                    let mut column = next.column_mut(unknown);
-                    column += push.rows(0, states);
-                    if push.len() > states {
-                        let mut column = derivatives.column_mut(unknown);
-                        column += push.rows(states, rows);
-                    }
-                }
-                let (whole, mut more) = derivatives.columns_range_pair_mut(0..theta, all..);
+            // `L⁻¹ ∂ν` in all frames below one another, a column for each derivative
+            let mut derivatives = DMatrix::zeros(rows * len, courses.len());
+            let shares = (moved.as_mut_slice().par_chunks_mut(states * SHARE))
+                .zip(
+                    derivatives
+                        .as_mut_slice()
+                        .par_chunks_mut(rows * len * SHARE),
+                )
+                .zip(courses.par_chunks(SHARE));
+            shares.for_each(|((moved, derivatives), courses)| {
+                let width = courses.len();
+                let mut moved = DMatrixViewMut::from_slice(moved, states, width);
+                let mut derivatives = DMatrixViewMut::from_slice(derivatives, rows * len, width);
+                block.follow(courses, &advance, &mut moved, &mut derivatives);
+            });
+            for parameter in 0..theta {
+                let pair = derivatives.columns_range_pair_mut(parameter, all + parameter);
+                let (whole, mut more) = pair;
                 more += whole;
-                std::mem::swap(&mut moved, &mut next);
-                lower.solve_lower_triangular_mut(&mut derivatives);
-                products.gemm_tr(1.0, &derivatives, &derivatives, 1.0);
             }
+            add_products(&mut products, &derivatives);
         }
         products /= self.frames as f64;
         Means {
@@ -255,15 +279,56 @@ impl Simulated<'_> {
     }
 }
 
+/// Adds `Xᵀ X`.
+fn add_products(sum: &mut DMatrix<f64>, x: &DMatrix<f64>) {
+    let (rows, width) = x.shape();
+    let transposed = x.transpose();
+    let shares = sum.as_mut_slice().par_chunks_mut(width * SHARE);
+    let shares = shares.zip(x.as_slice().par_chunks(rows * SHARE));
+    shares.for_each(|(sum, x)| {
+        let own = sum.len() / width;
+        let mut sum = DMatrixViewMut::from_slice(sum, width, own);
+        let x = DMatrixView::from_slice(x, rows, own);
+        sum.gemm(1.0, &transposed, &x, 1.0);
+    });
+}
+
 impl Block {
-    /// Returns what the data add to `∂û_{i+1}` and, for a parameter, to `∂ν_i` below it.
-    fn pushes(&self, tangent: &Tangent, states: usize) -> DMatrix<f64> {
-        let by_gain = &tangent.gain * &self.innovations; // ∂K ν
-        match &tangent.by_motion {
+    /// Follows some derivatives through the frames of the block.
+    ///
+    /// Advances their `∂û` (`moved`) by `advance`, `[Ā; −L⁻¹ H]`, and writes their `L⁻¹ ∂ν` of all
+    /// frames below one another.
+    fn follow(
+        &self,
+        courses: &[Course],
+        advance: &DMatrix<f64>,
+        moved: &mut DMatrixViewMut<'_, f64>,
+        derivatives: &mut DMatrixViewMut<'_, f64>,
+    ) {
+        let (len, states) = advance.shape();
+        let rows = len - states;
+        let pushes: Vec<DMatrix<f64>> = courses.iter().map(|course| self.pushes(course)).collect();
+        let mut next = DMatrix::zeros(len, courses.len());
+        for frame in 0..self.motion.ncols() {
+            next.gemm(1.0, advance, moved, 0.0);
+            for (mut column, push) in next.column_iter_mut().zip(&pushes) {
+                let mut pushed = column.rows_mut(0, push.nrows());
+                pushed += push.column(frame);
+            }
+            moved.copy_from(&next.rows(0, states));
+            let mut shown = derivatives.rows_mut(frame * rows, rows);
+            shown.copy_from(&next.rows(states, rows));
+        }
+    }
+
+    /// Returns what the data add to `∂û_{i+1}` and, for a parameter, to `L⁻¹ ∂ν_i` below it.
+    fn pushes(&self, course: &Course) -> DMatrix<f64> {
+        let by_gain = course.gain * &self.innovations; // ∂K ν
+        match &course.by_motion {
             None => by_gain,
             Some(by_motion) => {
                 let mut pushes = by_motion * &self.motion;
-                let mut upper = pushes.rows_mut(0, states);
+                let mut upper = pushes.rows_mut(0, by_gain.nrows());
                 upper += by_gain;
                 pushes
             }

@@ -301,4 +301,39 @@ mod tests {
         let shares = [errors[0] / largest[0], errors[1] / largest[1]];
         assert!(shares.iter().all(|share| *share < 1e-4), "{shares:?}");
     }
+    /// The error of the shapes must cancel between the model and the truth, because many sensors
+    /// see it.
+    #[test]
+    fn wrong_damping_shifts_a_reduced_model_as_it_shifts_the_whole_one() {
+        let group = |number: usize| {
+            let (name, first, last) = (format!("part-{number}"), 2 * number - 1, 2 * number);
+            format!(
+                "[[model.group]]\nname = \"{name}\"\nstoreys = [{first}, {last}]\n\
+                 [[parameter]]\nname = \"{name}\"\nscales = \"stiffness\"\nof = [\"{name}\"]\n\
+                 std = 0.2\n"
+            )
+        };
+        let sensor = |number: usize| {
+            let floor = 2 * number;
+            format!(
+                "[[node.channel]]\nname = \"floor-{floor}\"\ndof = \"floor-{floor}\"\n\
+                 quantity = \"absolute-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
+            )
+        };
+        let (model, rest) = TALL.split_once("[damping]").unwrap();
+        let (damping, rest) = rest.split_once("[[parameter]]").unwrap();
+        let (_, sensors) = rest.split_once("[[excitation]]").unwrap();
+        let groups: String = (1..=12).map(group).collect();
+        let more: String = (1..=11).map(sensor).collect();
+        let text = format!("{model}{groups}[damping]{damping}[[excitation]]{sensors}{more}");
+        let whole = Structure::parse(&text.replace("201", "24"), Path::new("tall.toml")).unwrap();
+        let reduced = whole.clone();
+        let basis = reduced.basis(18);
+        reduced.analysis_basis.get_or_init(|| Some(basis));
+        let [expected, found] = [&whole, &reduced].map(|of| of.shifts_by_damping(2.0).unwrap());
+        for (expected, found) in expected.iter().zip(&found) {
+            let apart = (expected - found).abs();
+            assert!(apart < 0.1, "{found} for {expected}");
+        }
+    }
 }

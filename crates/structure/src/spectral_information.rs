@@ -17,7 +17,7 @@
 //! 50, 1). No data are simulated.
 
 use crate::noise_level::{NoiseLevel, NoiseSource};
-use crate::spectrum::{Complexes, Frequency, Linearised, Responses, frequencies};
+use crate::spectrum::{Complexes, Frequency, Linearised, Response, complex_product, frequencies};
 use crate::structure::Structure;
 use nalgebra::{Complex, DMatrix, DVector, DVectorViewMut};
 use rayon::prelude::*;
@@ -58,10 +58,15 @@ enum Part {
     Sensors(DVector<f64>),
 }
 
-/// The responses at one frequency.
-struct Response<'r> {
-    of: &'r Responses,
-    index: usize,
+/// What the sensors show at one frequency, seen through `V` with `V Φ Vᴴ = I`.
+struct Whitened {
+    /// `V` (N_0 × N_0) and `V G` (N_0 × N_f).
+    by: Complexes,
+    transfer: Complexes,
+    /// `V G_t` and `V ΔG Σ_k^½` (N_0 × N_f); `None` if the model is right.
+    truth: Option<[Complexes; 2]>,
+    /// `ln |Φ| + tr(Φ⁻¹ Φ_t)` up to a constant.
+    misfit: f64,
 }
 
 /// Information and expected slope of the log-likelihood per frame, in the order of the directions.
@@ -114,23 +119,15 @@ impl<'s> SpectralModel<'s> {
     /// The parameters come first in `directions`. If `truth` is `None`, the model is right. The result is `None` if some frequency has no
     /// finite response.
     pub(crate) fn sums(&self, truth: Option<&Self>, directions: &[Direction]) -> Option<Sums> {
-        let resolved: Vec<&Linearised> = std::iter::once(self)
-            .chain(truth)
-            .map(|model| &model.linearised)
-            .collect();
         let mut products = DMatrix::zeros(directions.len() + 1, directions.len() + 1);
         let mut misfit = 0.0;
-        for some in frequencies(&resolved, self.structure.step_s()).chunks(AT_ONCE) {
+        for some in self.frequencies(truth).chunks(AT_ONCE) {
             let responses = self.linearised.responses(some)?;
-            let term = |(index, frequency): (usize, &Frequency)| {
-                let own = Response {
-                    of: &responses,
-                    index,
-                };
-                let (product, misfit) = self.products(truth, &own, frequency.omega, directions)?;
+            let term = |(frequency, own): (&Frequency, &Response)| {
+                let (product, misfit) = self.products(truth, own, frequency.omega, directions)?;
                 Some((frequency.weight, product, misfit))
             };
-            let terms: Vec<_> = some.par_iter().enumerate().map(term).collect();
+            let terms: Vec<_> = some.par_iter().zip(&responses).map(term).collect();
             for term in terms {
                 let (weight, product, at) = term?;
                 misfit += weight * at;
@@ -145,33 +142,92 @@ impl<'s> SpectralModel<'s> {
         })
     }
 
+    /// Returns the misfit of [`Sums`] alone, for data from `truth`.
+    pub(crate) fn misfit(&self, truth: &Self) -> Option<f64> {
+        let term = |frequency: &Frequency| {
+            let transfer = self.linearised.transfer(frequency.omega)?;
+            let whitened = self.whitened(Some(truth), &transfer, frequency.omega)?;
+            Some(frequency.weight * whitened.misfit)
+        };
+        let terms: Vec<_> = self.frequencies(Some(truth)).par_iter().map(term).collect();
+        terms.into_iter().sum()
+    }
+
+    /// Returns the frequencies that resolve the resonances of the model and of the truth.
+    fn frequencies(&self, truth: Option<&Self>) -> Vec<Frequency> {
+        let resolved: Vec<&Linearised> = std::iter::once(self)
+            .chain(truth)
+            .map(|model| &model.linearised)
+            .collect();
+        frequencies(&resolved, self.structure.step_s())
+    }
+
+    /// Returns the view through `V` at one frequency, where the model has the given transfer `G`.
+    ///
+    /// With `R^-½ G = Q [T; 0]` and `I + T Σ_u Tᴴ = C Cᴴ`, `V = [C⁻¹, 0; 0, I] Qᴴ R^-½`. `V G` is
+    /// then zero but for its first N_f rows.
+    fn whitened(&self, truth: Option<&Self>, transfer: &Complexes, omega: f64) -> Option<Whitened> {
+        let (outputs, inputs) = transfer.shape();
+        let first = outputs.min(inputs);
+        let scale = self
+            .noise
+            .map(|variance| Complex::from(variance.sqrt().recip()));
+        let mut by = Complexes::from_diagonal(&scale);
+        let qr = (&by * transfer).qr();
+        qr.q_tr_mul(&mut by);
+        let t = qr.r();
+        let inner = Complexes::identity(first, first) + &t * &self.unknown * t.adjoint();
+        let c = inner.cholesky()?.unpack();
+        let mut seen = Complexes::zeros(outputs, inputs);
+        seen.rows_mut(0, first).copy_from(&t);
+        for rows in [&mut by, &mut seen] {
+            c.solve_lower_triangular_mut(&mut rows.rows_mut(0, first));
+        }
+        let size = |factor: &Complexes| factor.diagonal().map(|entry| entry.re.ln()).sum();
+        let mut whitened = Whitened {
+            misfit: self.noise.map(f64::ln).sum() + 2.0 * size(&c),
+            transfer: seen,
+            truth: None,
+            by,
+        };
+        if let Some(truth) = truth {
+            let other = truth.linearised.transfer(omega)?;
+            let error = scaled_columns(&(&other - transfer), &self.known); // ΔG Σ_k^½
+            let [other, error] = [&whitened.by * other, &whitened.by * error];
+            let unknown = |seen: &Complexes, covariance: &Complexes| {
+                (seen * covariance).dotc(seen).re // tr(V G Σ_u Gᴴ Vᴴ)
+            };
+            let noise = (0..outputs).map(|row| {
+                let excess = truth.noise[row] - self.noise[row];
+                excess * whitened.by.column(row).norm_squared()
+            });
+            whitened.misfit += unknown(&other, &truth.unknown)
+                - unknown(&whitened.transfer, &self.unknown)
+                + error.norm_squared()
+                + noise.sum::<f64>();
+            whitened.truth = Some([other, error]);
+        }
+        Some(whitened)
+    }
+
     /// Returns the terms of the sums for all pairs of directions, with the truth as the last one,
     /// and the misfit.
     ///
     /// The misfit is `ln |Φ| + tr(Φ⁻¹ Φ_t)`, in which `Φ_t` includes the part that the known
     /// excitation leaves unexplained.
     ///
-    /// The terms are products of real columns. With `Φ = L Lᴴ`, all matrices are seen through a
-    /// `V = U L⁻¹`, in which the unitary `U` makes `V G` triangular. `V ∂Φ Vᴴ` of a parameter is
-    /// then zero outside its first N_f rows and columns, and no more of it is computed.
+    /// The terms are products of real columns. All matrices are seen through `V`. `V ∂Φ Vᴴ` of a
+    /// parameter is then zero outside its first N_f rows and columns, and no more of it is computed.
     fn products(
         &self,
         truth: Option<&Self>,
-        own: &Response<'_>,
+        own: &Response,
         omega: f64,
         directions: &[Direction],
     ) -> Option<(DMatrix<f64>, f64)> {
-        let transfer = own.transfer();
-        let lower = self.unpredicted(transfer).cholesky()?.unpack();
-        let (outputs, inputs) = transfer.shape();
-        let mut whiten = lower.solve_lower_triangular(&Complexes::identity(outputs, outputs))?;
-        (&whiten * transfer).qr().q_tr_mul(&mut whiten);
-        let seen = &whiten * transfer;
-        let mut misfit: f64 = lower
-            .diagonal()
-            .iter()
-            .map(|entry| 2.0 * entry.re.ln())
-            .sum();
+        let seen = self.whitened(truth, &own.transfer, omega)?;
+        let slopes = complex_product(&seen.by, &own.slopes); // V ∂G
+        let (outputs, inputs) = own.transfer.shape();
         let parameters = directions
             .iter()
             .take_while(|direction| matches!(direction, Direction::Parameter(_)))
@@ -187,65 +243,51 @@ impl<'s> SpectralModel<'s> {
             stack(of_phi, of_g, column, other.map(|at| others.column_mut(at)));
         };
         for (at, direction) in directions.iter().enumerate() {
-            let (of_phi, of_g) = self.derivatives(own, &whiten, &seen, *direction, omega);
+            let (of_phi, of_g) = self.derivatives(&seen, &slopes, *direction, omega);
             put(at, &of_phi, of_g.as_ref());
         }
-        if let Some(truth) = truth {
-            let other = truth.linearised.transfer(omega)?;
-            let error = scaled_columns(&(&other - transfer), &self.known); // ΔG Σ_k^½
-            let (error, other) = (&whiten * error, &whiten * other);
-            let mut excess = &other * &truth.unknown * other.adjoint() + &error * error.adjoint()
-                - &seen * &self.unknown * seen.adjoint();
-            excess += diagonal_whitened(&(&truth.noise - &self.noise), &whiten);
-            misfit += excess.trace().re;
-            put(directions.len(), &excess, Some(&error));
+        if let (Some(truth), Some([other, error])) = (truth, &seen.truth) {
+            let mut excess = other * &truth.unknown * other.adjoint() + error * error.adjoint()
+                - &seen.transfer * &self.unknown * seen.transfer.adjoint();
+            excess += diagonal_whitened(&(&truth.noise - &self.noise), &seen.by);
+            put(directions.len(), &excess, Some(error));
         }
         let mut products = columns.transpose() * columns;
         let mut of_others = products.view_range_mut(parameters.., parameters..);
         of_others += others.transpose() * &others;
-        Some((products, misfit))
+        Some((products, seen.misfit))
     }
 
-    /// Returns `V ∂Φ Vᴴ` and `V ∂G Σ_k^½` in a direction, with `V` (`whiten`) and `V G` (`seen`).
+    /// Returns `V ∂Φ Vᴴ` and `V ∂G Σ_k^½` in a direction, from `V ∂G` (`slopes`) of all parameters.
     ///
     /// The first has only the columns that can differ from zero. The second is `None` if it is
     /// zero.
     fn derivatives(
         &self,
-        own: &Response<'_>,
-        whiten: &Complexes,
-        seen: &Complexes,
+        seen: &Whitened,
+        slopes: &Complexes,
         direction: Direction,
         omega: f64,
     ) -> (Complexes, Option<Complexes>) {
         match direction {
             Direction::Parameter(parameter) => {
-                let slope = whiten * own.slope(parameter);
-                let first = seen.nrows().min(seen.ncols());
-                let seen = seen.rows(0, first);
-                let mut of_phi = &slope * &self.unknown * seen.adjoint(); // V ∂G Σ_u Gᴴ Vᴴ
+                let (outputs, inputs) = seen.transfer.shape();
+                let slope = slopes.columns(parameter * inputs, inputs).into_owned();
+                let first = outputs.min(inputs);
+                let transfer = seen.transfer.rows(0, first);
+                let mut of_phi = &slope * &self.unknown * transfer.adjoint(); // V ∂G Σ_u Gᴴ Vᴴ
                 let mirrored = of_phi.rows(0, first).adjoint();
                 let mut top = of_phi.rows_mut(0, first);
                 top += mirrored;
                 (of_phi, Some(scaled_columns(&slope, &self.known)))
             }
-            Direction::Level(level) => (self.parts[level].whitened(whiten, seen), None),
+            Direction::Level(level) => (self.parts[level].whitened(seen), None),
             Direction::Colour { level, octave } => {
                 let share = self.structure.octave_share(octave, omega);
-                let whole = self.parts[level].whitened(whiten, seen);
+                let whole = self.parts[level].whitened(seen);
                 (whole * Complex::new(share, 0.0), None)
             }
         }
-    }
-
-    /// Returns `Φ` (N_0 × N_0), the spectrum of the unpredictable part.
-    fn unpredicted(&self, transfer: &Complexes) -> Complexes {
-        let mut phi = transfer * &self.unknown * transfer.adjoint();
-        self.noise
-            .iter()
-            .enumerate()
-            .for_each(|(row, variance)| phi[(row, row)] += variance);
-        phi
     }
 
     /// Returns the standard deviation of each observation row without sensor noise, and a frequency
@@ -279,24 +321,12 @@ impl<'s> SpectralModel<'s> {
     }
 }
 
-impl Response<'_> {
-    /// Returns `G` (N_0 × N_f).
-    fn transfer(&self) -> &Complexes {
-        &self.of.transfers[self.index]
-    }
-
-    /// Returns `∂G` with respect to a parameter.
-    fn slope(&self, parameter: usize) -> &Complexes {
-        &self.of.slopes[parameter][self.index]
-    }
-}
-
 impl Part {
-    /// Returns its contribution to `V Φ Vᴴ` (N_0 × N_0), from `V` (`whiten`) and `V G` (`seen`).
-    fn whitened(&self, whiten: &Complexes, seen: &Complexes) -> Complexes {
+    /// Returns its contribution to `V Φ Vᴴ` (N_0 × N_0).
+    fn whitened(&self, seen: &Whitened) -> Complexes {
         match self {
-            Self::Excitation(covariance) => seen * covariance * seen.adjoint(),
-            Self::Sensors(variances) => diagonal_whitened(variances, whiten),
+            Self::Excitation(covariance) => &seen.transfer * covariance * seen.transfer.adjoint(),
+            Self::Sensors(variances) => diagonal_whitened(variances, &seen.by),
         }
     }
 }
@@ -308,7 +338,7 @@ fn diagonal_whitened(diagonal: &DVector<f64>, whiten: &Complexes) -> Complexes {
         .collect();
     let entries: Vec<f64> = own.iter().map(|row| diagonal[*row]).collect();
     let columns = whiten.select_columns(&own);
-    scaled_columns(&columns, &entries) * columns.adjoint()
+    complex_product(&scaled_columns(&columns, &entries), &columns.adjoint())
 }
 
 fn part(structure: &Structure, level: &NoiseLevel, variance: f64) -> Part {
@@ -381,6 +411,12 @@ mod tests {
         Structure::parse(text, Path::new("example.toml")).unwrap_or_else(|error| panic!("{error}"))
     }
 
+    /// Returns `Φ` (N_0 × N_0), the spectrum of the unpredictable part.
+    fn unpredicted(model: &SpectralModel<'_>, transfer: &Complexes) -> Complexes {
+        transfer * &model.unknown * transfer.adjoint()
+            + Complexes::from_diagonal(&model.noise.map(Complex::from))
+    }
+
     /// Returns the sums as the formulas of this module state them, without whitening.
     fn plain(
         model: &SpectralModel<'_>,
@@ -394,22 +430,21 @@ mod tests {
         let known = Complexes::from_diagonal(&DVector::from_iterator(model.known.len(), squared));
         for frequency in frequencies(&resolved, model.structure.step_s()) {
             let found = model.linearised.responses(&[frequency]).unwrap();
-            let (g, other) = (
-                &found.transfers[0],
-                truth.linearised.transfer(frequency.omega),
-            );
-            let other = other.unwrap();
-            let phi = model.unpredicted(g);
+            let g = &found[0].transfer;
+            let other = truth.linearised.transfer(frequency.omega).unwrap();
+            let phi = unpredicted(model, g);
             let inverse = phi.clone().try_inverse().unwrap();
             let error = &other - g;
-            let excess = truth.unpredicted(&other) + &error * &known * error.adjoint() - phi;
+            let excess = unpredicted(truth, &other) + &error * &known * error.adjoint() - phi;
             let of_part = |level: usize| match &model.parts[level] {
                 Part::Excitation(covariance) => g * covariance * g.adjoint(),
                 Part::Sensors(variances) => Complexes::from_diagonal(&variances.map(Complex::from)),
             };
             let derivatives = |direction: &Direction| match direction {
                 Direction::Parameter(parameter) => {
-                    let of_g = found.slopes[*parameter][0].clone();
+                    let inputs = g.ncols();
+                    let of_g = found[0].slopes.columns(*parameter * inputs, inputs);
+                    let of_g = of_g.into_owned();
                     let half = &of_g * &model.unknown * g.adjoint();
                     (&half + half.adjoint(), of_g)
                 }

@@ -55,13 +55,13 @@ pub(crate) struct Linearised {
     slopes: Vec<LinearForm>,
 }
 
-/// Responses of the sensors to excitations `e^{iωt}` at some frequencies.
+/// Response of the sensors to excitations `e^{iωt}` at one frequency.
 #[derive(Debug, Clone)]
-pub(crate) struct Responses {
-    /// `G` (N_0 × N_f) at each frequency.
-    pub(crate) transfers: Vec<Complexes>,
-    /// `∂G` with respect to each parameter, at each frequency.
-    pub(crate) slopes: Vec<Vec<Complexes>>,
+pub(crate) struct Response {
+    /// `G` (N_0 × N_f).
+    pub(crate) transfer: Complexes,
+    /// `∂G` with respect to each parameter, side by side (N_0 × N_θ N_f).
+    pub(crate) slopes: Complexes,
 }
 
 /// Motion of the structure at one frequency.
@@ -72,7 +72,14 @@ struct Motion {
     w: Parts,
 }
 
-/// Real and imaginary part of a complex matrix, for products with real matrices.
+/// Effect of a parameter on many motions.
+struct Effect {
+    /// `∂A_u U` (2 N_d rows) and `∂H U` (N_0 rows), the real and imaginary columns of each motion.
+    pushed: DMatrix<f64>,
+    shown: DMatrix<f64>,
+}
+
+/// Real and imaginary part of a complex matrix. nalgebra has fast products of real matrices only.
 struct Parts {
     re: DMatrix<f64>,
     im: DMatrix<f64>,
@@ -122,65 +129,89 @@ impl Linearised {
 
     /// Returns `G` and its derivatives at some frequencies; `None` at the resonance of an undamped
     /// mode.
-    pub(crate) fn responses(&self, frequencies: &[Frequency]) -> Option<Responses> {
+    pub(crate) fn responses(&self, frequencies: &[Frequency]) -> Option<Vec<Response>> {
         let input = complex(&self.at.input);
         let at_frequency = |frequency: &Frequency| {
             let solver = Solver::new(self, frequency.omega)?;
             let u = solver.solve(&input)?;
-            let w = Parts::of(&solver.solve_from_left(&self.at.observation)?);
-            let transfer = self.seen(&u);
-            Some((
-                Motion {
-                    u: Parts::of(&u),
-                    w,
-                },
-                transfer,
-            ))
+            let motion = Motion {
+                u: Parts::of(&u),
+                w: Parts::of(&solver.solve_from_left(&self.at.observation)?),
+            };
+            Some((motion, self.seen(&u)))
         };
         let found: Option<Vec<_>> = frequencies.par_iter().map(at_frequency).collect();
-        let (motions, transfers): (Vec<Motion>, _) = found?.into_iter().unzip();
+        let found = found?;
         // A product with all motions at once: reading `∂A_u` takes longer than one product.
-        let all: Vec<_> = motions
+        let all: Vec<_> = found
             .iter()
-            .flat_map(|motion| motion.u.re.column_iter().chain(motion.u.im.column_iter()))
+            .flat_map(|(Motion { u, .. }, _)| u.re.column_iter().chain(u.im.column_iter()))
             .collect();
         let all = DMatrix::from_columns(&all);
-        let slopes = self.slopes.par_iter();
-        let slopes = slopes.map(|slope| slope_of_transfers(slope, &motions, &all));
-        Some(Responses {
-            transfers,
-            slopes: slopes.collect(),
-        })
+        let effect = |slope: &LinearForm| Effect {
+            pushed: &slope.system * &all,
+            shown: &slope.observation * &all,
+        };
+        let effects: Vec<Effect> = self.slopes.par_iter().map(effect).collect();
+        let response = |(index, (motion, transfer)): (usize, (Motion, Complexes))| Response {
+            slopes: self.slopes_of_transfer(&motion.w, &effects, index),
+            transfer,
+        };
+        Some(found.into_par_iter().enumerate().map(response).collect())
+    }
+
+    /// Returns `∂G` with respect to all parameters for the motion number `index`, whose `W` is `w`.
+    fn slopes_of_transfer(&self, w: &Parts, effects: &[Effect], index: usize) -> Complexes {
+        let inputs = self.at.input.ncols();
+        let [re, im] = [2 * index * inputs, (2 * index + 1) * inputs];
+        let width = inputs * effects.len();
+        let mut pushed = Parts::zeros(self.at.input.nrows(), width);
+        let mut shown = Parts::zeros(self.at.direct.nrows(), width);
+        for (parameter, (effect, slope)) in effects.iter().zip(&self.slopes).enumerate() {
+            let own = |of: &DMatrix<f64>, column: usize| of.columns(column, inputs).into_owned();
+            let columns = [
+                (&mut pushed.re, own(&effect.pushed, re) + &slope.input),
+                (&mut pushed.im, own(&effect.pushed, im)),
+                (&mut shown.re, own(&effect.shown, re) + &slope.direct),
+                (&mut shown.im, own(&effect.shown, im)),
+            ];
+            for (all, found) in columns {
+                all.columns_mut(parameter * inputs, inputs)
+                    .copy_from(&found);
+            }
+        }
+        let seen = w.times(&pushed);
+        (seen.re + shown.re).zip_map(&(seen.im + shown.im), Complex::new)
     }
 }
 
-/// Returns `∂G` for each of `motions`. `all` contains the columns of all `U`.
-fn slope_of_transfers(
-    slope: &LinearForm,
-    motions: &[Motion],
-    all: &DMatrix<f64>,
-) -> Vec<Complexes> {
-    let pushed = &slope.system * all;
-    let shown = &slope.observation * all;
-    let inputs = slope.input.ncols();
-    let of_motion = |(index, Motion { w, .. }): (usize, &Motion)| {
-        let [re, im] = [2 * index * inputs, (2 * index + 1) * inputs];
-        let pushed_re = pushed.columns(re, inputs) + &slope.input;
-        let pushed_im = pushed.columns(im, inputs);
-        let re = &w.re * &pushed_re - &w.im * pushed_im + shown.columns(re, inputs);
-        let im = &w.re * pushed_im + &w.im * &pushed_re + shown.columns(im, inputs);
-        (re + &slope.direct).zip_map(&im, Complex::new)
-    };
-    motions.iter().enumerate().map(of_motion).collect()
-}
-
 impl Parts {
+    fn zeros(rows: usize, columns: usize) -> Self {
+        Self {
+            re: DMatrix::zeros(rows, columns),
+            im: DMatrix::zeros(rows, columns),
+        }
+    }
+
     fn of(x: &Complexes) -> Self {
         Self {
             re: x.map(|entry| entry.re),
             im: x.map(|entry| entry.im),
         }
     }
+
+    fn times(&self, other: &Self) -> Self {
+        let (mut re, mut im) = (&self.re * &other.re, &self.re * &other.im);
+        re.gemm(-1.0, &self.im, &other.im, 1.0);
+        im.gemm(1.0, &self.im, &other.re, 1.0);
+        Self { re, im }
+    }
+}
+
+/// Returns the product of two complex matrices, computed as four real products.
+pub(crate) fn complex_product(a: &Complexes, b: &Complexes) -> Complexes {
+    let Parts { re, im } = Parts::of(a).times(&Parts::of(b));
+    re.zip_map(&im, Complex::new)
 }
 
 /// Returns the difference of two forms, divided by their distance in a parameter.
@@ -334,11 +365,13 @@ mod tests {
             });
             for (index, frequency) in some.iter().enumerate() {
                 let of = |at: &Linearised| at.transfer(frequency.omega).unwrap();
-                assert_eq!(responses.transfers[index], of(&linearised));
+                assert_eq!(responses[index].transfer, of(&linearised));
                 let expected = (of(&up) - of(&down)) / Complex::new(2.0 * DIFFERENCE, 0.0);
-                let found = &responses.slopes[parameter][index];
+                let inputs = responses[index].transfer.ncols();
+                let slopes = &responses[index].slopes;
+                let found = slopes.columns(parameter * inputs, inputs);
                 // The last parameter may have no effect at all.
-                let scale = expected.norm() + 1e-3 * responses.transfers[index].norm();
+                let scale = expected.norm() + 1e-3 * responses[index].transfer.norm();
                 assert!(
                     (found - &expected).norm() < 1e-4 * scale,
                     "parameter {parameter} at {} rad/s: {found} for {expected}",

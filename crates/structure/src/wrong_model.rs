@@ -33,6 +33,7 @@ impl Structure {
     pub(crate) fn shifts_by_damping(&self, factor: f64) -> Option<Vec<f64>> {
         let mut other = self.clone();
         other.system.damping = self.system.damping.times(factor);
+        other.analysis_basis = self.analysis_basis.kept(); // both move in the same shapes
         let truth = SpectralModel::new(&other, &self.prior_means(), &self.expected_variances());
         self.shifts(&truth)
     }
@@ -65,12 +66,13 @@ impl Structure {
         let (mut theta, mut variances) = (means.clone(), self.expected_variances());
         let mut sums =
             SpectralModel::new(self, &theta, &variances).sums(Some(truth), &directions)?;
-        for _ in 0..if self.system.len() > LARGE { 1 } else { STEPS } {
+        let steps = if self.system.len() > LARGE { 1 } else { STEPS };
+        for step_number in 1..=steps {
             let Sums {
                 mut information,
                 mut slope,
                 misfit,
-            } = sums.clone();
+            } = sums;
             for (index, parameter) in self.parameters.iter().enumerate() {
                 let precision = 1.0 / (memory_frames * parameter.std().powi(2));
                 information[(index, index)] += precision;
@@ -83,7 +85,7 @@ impl Structure {
             let mut share = (LONGEST_PARAMETER_STEP / longest)
                 .min(LONGEST_LEVEL_STEP / largest)
                 .min(1.0);
-            loop {
+            let model = loop {
                 let moved = |index: usize| theta[index] + share * step[index];
                 let within = |(index, parameter): (usize, &crate::Parameter)| {
                     let (low, high) = parameter.bounds();
@@ -94,17 +96,17 @@ impl Structure {
                 for (entry, level) in adapted.iter().enumerate() {
                     levels[*level] *= (share * step[means.len() + entry]).exp();
                 }
-                let at_next =
-                    SpectralModel::new(self, &next, &levels).sums(Some(truth), &directions)?;
-                if at_next.misfit <= misfit || share < SHORTEST_SHARE {
-                    (theta, variances, sums) = (next, levels, at_next);
-                    break;
+                let model = SpectralModel::new(self, &next, &levels);
+                if share < SHORTEST_SHARE || model.misfit(truth)? <= misfit {
+                    (theta, variances) = (next, levels);
+                    break model;
                 }
                 share *= 0.5;
-            }
-            if share * longest < SETTLED {
+            };
+            if share * longest < SETTLED || step_number == steps {
                 break;
             }
+            sums = model.sums(Some(truth), &directions)?;
         }
         Some(
             theta
