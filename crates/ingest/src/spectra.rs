@@ -5,13 +5,10 @@
 //! its integral from 0 to half the sampling rate is the variance of the samples.
 
 use std::collections::VecDeque;
-use std::f64::consts::PI;
-use std::fmt;
 use std::ops::Range;
-use std::sync::Arc;
 
-use realfft::{RealFftPlanner, RealToComplex};
 use spandrel_bus::{ChannelSpectrum, FrameBlock, MAX_FREQUENCIES, Name, SpectrumDisplay};
+use spandrel_fourier::HannTransform;
 
 use crate::waveforms::NodeChannels;
 
@@ -30,13 +27,12 @@ const EVERY_S: f64 = 10.0;
 /// Derives one spectrum message per node and ten seconds of measurement time from the frames.
 ///
 /// A window with a missing sample is left out.
+#[derive(Debug)]
 pub(crate) struct Spectra {
     structure: Name,
     nodes: Vec<NodeChannels>,
     sampling_rate_hz: f64,
-    transform: Arc<dyn RealToComplex<f64>>,
-    /// Weights of the samples of a window.
-    window: Vec<f64>,
+    transform: HannTransform,
     /// The lines of the transform that are combined into each frequency.
     groups: Vec<Range<usize>>,
     /// Number of frames over which windows are averaged, and between two messages.
@@ -56,20 +52,11 @@ struct ChannelWindows {
     complete: VecDeque<(u64, Vec<f32>)>,
 }
 
-impl fmt::Debug for Spectra {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut shown = formatter.debug_struct("Spectra");
-        shown.field("structure", &self.structure);
-        shown.field("next", &self.next).finish_non_exhaustive()
-    }
-}
-
 impl Spectra {
     pub(crate) fn new(structure: Name, nodes: Vec<NodeChannels>, sampling_rate_hz: f64) -> Self {
         let wanted = (WINDOW_S * sampling_rate_hz).ceil() as usize;
         let length = wanted.clamp(SHORTEST_WINDOW, LONGEST_WINDOW);
         let length = length.next_power_of_two();
-        let weight = |n: usize| 0.5 - 0.5 * (2.0 * PI * n as f64 / length as f64).cos();
         let channels = nodes.iter().map(|node| node.channels.len()).sum();
         // The averages contain at least one window.
         let averaged = (AVERAGED_S * sampling_rate_hz).max(2.0 * length as f64);
@@ -77,8 +64,7 @@ impl Spectra {
             structure,
             nodes,
             sampling_rate_hz,
-            transform: RealFftPlanner::new().plan_fft_forward(length),
-            window: (0..length).map(weight).collect(),
+            transform: HannTransform::new(length),
             groups: groups(length / 2),
             averaged: averaged as u64,
             every: (EVERY_S * sampling_rate_hz).round().max(1.0) as u64,
@@ -111,7 +97,7 @@ impl Spectra {
     }
 
     fn push(&mut self, place: usize, number: u64, sample: f64) {
-        let length = self.window.len();
+        let length = self.transform.window_len();
         let channel = &mut self.channels[place];
         if sample.is_nan() {
             channel.samples.clear();
@@ -132,16 +118,8 @@ impl Spectra {
 
     /// Returns the density of one window at each frequency, unit²/Hz.
     fn density(&self, samples: &[f64]) -> Vec<f32> {
-        let length = samples.len() as f64;
-        let mean = samples.iter().sum::<f64>() / length;
-        let weighted = samples.iter().zip(&self.window);
-        let mut input: Vec<f64> = weighted.map(|(x, w)| w * (x - mean)).collect();
-        let mut output = self.transform.make_output_vec();
-        if self.transform.process(&mut input, &mut output).is_err() {
-            return vec![0.0; self.groups.len()]; // the lengths are those of the plan
-        }
-        let power: f64 = self.window.iter().map(|w| w * w).sum(); // Welch's L U
-        let scale = 2.0 / (self.sampling_rate_hz * power);
+        let output = self.transform.transform(samples.iter().copied());
+        let scale = 2.0 / (self.sampling_rate_hz * self.transform.power());
         // The line at half the sampling rate has no mirror image.
         let halved = |line: usize| if line + 1 == output.len() { 0.5 } else { 1.0 };
         let of_line = |line: usize| scale * halved(line) * output[line].norm_sqr();
@@ -155,7 +133,7 @@ impl Spectra {
     fn publish(&mut self, number: u64, time_ns: i64, out: &mut Vec<SpectrumDisplay>) {
         let (averaged, count) = (self.averaged, self.groups.len());
         let is_recent = |end: u64| end + averaged > number;
-        let step_hz = self.sampling_rate_hz / self.window.len() as f64;
+        let step_hz = self.sampling_rate_hz / self.transform.window_len() as f64;
         let middle = |group: &Range<usize>| 0.5 * (group.start + group.end - 1) as f64 * step_hz;
         let frequencies: Vec<f32> = self.groups.iter().map(|one| middle(one) as f32).collect();
         let mut windows = self.channels.iter_mut();
@@ -169,7 +147,7 @@ impl Spectra {
                 structure: self.structure.clone(),
                 node: node.clone(),
                 time_ns,
-                window_s: self.window.len() as f64 / self.sampling_rate_hz,
+                window_s: self.transform.window_len() as f64 / self.sampling_rate_hz,
                 frequencies_hz: frequencies.clone(),
                 channels: channels.map(spectrum).collect(),
             });
@@ -219,6 +197,7 @@ fn groups(last: usize) -> Vec<Range<usize>> {
 mod tests {
     use super::*;
     use spandrel_bus::{Header, Message, StreamState};
+    use std::f64::consts::PI;
 
     const RATE_HZ: f64 = 100.0;
     /// Number of samples of a window at this rate: the first power of two from 20 s on.

@@ -7,14 +7,12 @@
 //! harmonics in modal identification.
 
 use nalgebra::{Complex, DMatrix};
-use realfft::{RealFftPlanner, RealToComplex};
 use serde::{Deserialize, Serialize};
-use std::f64::consts::PI;
-use std::sync::Arc;
+use spandrel_fourier::HannTransform;
 
 /// A plan of the Fourier transform, which is not part of the state.
 #[derive(Clone, Default)]
-struct Transform(Option<Arc<dyn RealToComplex<f64>>>);
+struct Transform(Option<HannTransform>);
 
 impl std::fmt::Debug for Transform {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -84,25 +82,13 @@ impl SpectrumStream {
     }
 
     fn add_segment(&mut self) {
-        let transform = self
-            .transform
-            .0
-            .get_or_insert_with(|| RealFftPlanner::new().plan_fft_forward(self.length))
-            .clone();
         let (channels, length) = (self.channels, self.length);
-        let mut input = transform.make_input_vec();
-        let mut outputs = vec![transform.make_output_vec(); channels];
-        for (channel, output) in outputs.iter_mut().enumerate() {
-            let samples = self.segment.iter().skip(channel).step_by(channels);
-            let mean = samples.clone().sum::<f64>() / length as f64;
-            for (n, (input, sample)) in input.iter_mut().zip(samples).enumerate() {
-                let window = 0.5 - 0.5 * (2.0 * PI * n as f64 / length as f64).cos();
-                *input = window * (sample - mean);
-            }
-            if transform.process(&mut input, output).is_err() {
-                return; // lengths are those of the plan
-            }
-        }
+        let transform = &mut self.transform.0;
+        let transform = transform.get_or_insert_with(|| HannTransform::new(length));
+        let outputs: Vec<_> = (0..channels)
+            .map(|channel| self.segment.iter().skip(channel).step_by(channels).copied())
+            .map(|samples| transform.transform(samples))
+            .collect();
         self.segments += 1;
         let pairs = channels * (channels + 1) / 2;
         let frequencies = self

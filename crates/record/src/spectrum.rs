@@ -3,9 +3,7 @@
 //! Source: P. D. Welch (1967), *IEEE Transactions on Audio and Electroacoustics* 15, 70–73. The
 //! Hann windows overlap by half, and the mean of each is removed. The density is one-sided.
 
-use std::f64::consts::PI;
-
-use realfft::RealFftPlanner;
+use spandrel_fourier::HannTransform;
 
 use crate::RecordedChannel;
 use crate::resample::runs;
@@ -55,33 +53,20 @@ impl Spectrum {
         if length < SHORTEST_WINDOW {
             return None;
         }
-        let transform = RealFftPlanner::<f64>::new().plan_fft_forward(length);
-        let window: Vec<f64> = (0..length)
-            .map(|n| 0.5 - 0.5 * (2.0 * PI * n as f64 / length as f64).cos())
-            .collect();
-        let power: f64 = window.iter().map(|weight| weight * weight).sum();
-        let mut input = transform.make_input_vec();
-        let mut output = transform.make_output_vec();
-        let mut density = vec![0.0; output.len()];
+        let transform = HannTransform::new(length);
+        let mut density = vec![0.0; length / 2 + 1];
         let mut windows = 0_u32;
         for run in runs {
             for piece in run.windows(length).step_by(length / 2) {
-                let mean = piece.iter().sum::<f64>() / length as f64;
-                input
-                    .iter_mut()
-                    .zip(piece)
-                    .zip(&window)
-                    .for_each(|((input, sample), weight)| *input = (sample - mean) * weight);
-                // The lengths are those of the plan.
-                transform.process(&mut input, &mut output).ok()?;
+                let lines = transform.transform(piece.iter().copied());
                 density
                     .iter_mut()
-                    .zip(&output)
+                    .zip(&lines)
                     .for_each(|(density, value)| *density += value.norm_sqr());
                 windows += 1;
             }
         }
-        let scale = 2.0 / (rate_hz * power * f64::from(windows));
+        let scale = 2.0 / (rate_hz * transform.power() * f64::from(windows));
         density.iter_mut().for_each(|density| *density *= scale);
         // The values at 0 Hz and at half the sampling rate have no mirror image.
         for end in [0, density.len() - 1] {
@@ -155,6 +140,7 @@ fn valley_beside(density: &[f64], index: usize) -> f64 {
 mod tests {
     use super::*;
     use crate::Segment;
+    use std::f64::consts::PI;
 
     fn channel(samples: Vec<f64>) -> RecordedChannel {
         RecordedChannel::new("a", Some(200.0), vec![Segment::new(0, samples)])

@@ -121,8 +121,9 @@ impl<'s> SpectralModel<'s> {
     pub(crate) fn sums(&self, truth: Option<&Self>, directions: &[Direction]) -> Option<Sums> {
         let mut products = DMatrix::zeros(directions.len() + 1, directions.len() + 1);
         let mut misfit = 0.0;
+        let slopes = self.linearised.slopes(self.structure);
         for some in self.frequencies(truth).chunks(AT_ONCE) {
-            let responses = self.linearised.responses(some)?;
+            let responses = self.linearised.responses(&slopes, some)?;
             let term = |(frequency, own): (&Frequency, &Response)| {
                 let (product, misfit) = self.products(truth, own, frequency.omega, directions)?;
                 Some((frequency.weight, product, misfit))
@@ -426,10 +427,11 @@ mod tests {
         let len = directions.len();
         let (mut information, mut slope) = (DMatrix::zeros(len, len), DVector::zeros(len));
         let resolved = [&model.linearised, &truth.linearised];
+        let slopes = model.linearised.slopes(model.structure);
         let squared = model.known.iter().map(|known| Complex::from(known * known));
         let known = Complexes::from_diagonal(&DVector::from_iterator(model.known.len(), squared));
         for frequency in frequencies(&resolved, model.structure.step_s()) {
-            let found = model.linearised.responses(&[frequency]).unwrap();
+            let found = model.linearised.responses(&slopes, &[frequency]).unwrap();
             let g = &found[0].transfer;
             let other = truth.linearised.transfer(frequency.omega).unwrap();
             let phi = unpredicted(model, g);

@@ -42,18 +42,21 @@ pub(crate) struct Frequency {
     pub(crate) weight: f64,
 }
 
-/// A structure with known parameters, and the derivatives of its matrices with respect to each.
+/// A structure with known parameters.
 #[derive(Debug, Clone)]
 pub(crate) struct Linearised {
+    theta: Vec<f64>,
     at: LinearForm,
     /// `A_xv`, `A_vx`, their product `A_vx A_xv`, and `A_vv` (N_d × N_d).
     rate: DMatrix<f64>,
     restoring: DMatrix<f64>,
     spring: DMatrix<f64>,
     damping: Complexes,
-    /// `∂A_u`, `∂B_u`, `∂H` and `∂D` with respect to each parameter.
-    slopes: Vec<LinearForm>,
 }
+
+/// `∂A_u`, `∂B_u`, `∂H` and `∂D` with respect to each parameter.
+#[derive(Debug)]
+pub(crate) struct Slopes(Vec<LinearForm>);
 
 /// Response of the sensors to excitations `e^{iωt}` at one frequency.
 #[derive(Debug, Clone)]
@@ -89,18 +92,6 @@ impl Linearised {
     /// Linearises `structure` at `theta` (ratios to nominal).
     pub(crate) fn new(structure: &Structure, theta: &[f64]) -> Self {
         let basis = structure.analysis_basis();
-        let slope = |model: &mut StructureModel, parameter: usize| {
-            let mut moved = |by: f64| {
-                let mut theta = theta.to_vec();
-                theta[parameter] += by;
-                LinearForm::moving_in(model, &theta, basis)
-            };
-            difference(moved(DIFFERENCE), &moved(-DIFFERENCE))
-        };
-        let slopes = (0..theta.len())
-            .into_par_iter()
-            .map_init(|| structure.model(), slope)
-            .collect();
         let at = LinearForm::moving_in(&mut structure.model(), theta, basis);
         let free = at.system.nrows() / 2;
         let block = |row, column| at.system.view((row, column), (free, free)).into_owned();
@@ -111,9 +102,24 @@ impl Linearised {
             rate,
             restoring,
             damping,
-            slopes,
+            theta: theta.to_vec(),
             at,
         }
+    }
+
+    /// Returns the derivatives of the matrices of `structure`, from which the form was made.
+    pub(crate) fn slopes(&self, structure: &Structure) -> Slopes {
+        let basis = structure.analysis_basis();
+        let slope = |model: &mut StructureModel, parameter: usize| {
+            let mut moved = |by: f64| {
+                let mut theta = self.theta.clone();
+                theta[parameter] += by;
+                LinearForm::moving_in(model, &theta, basis)
+            };
+            difference(moved(DIFFERENCE), &moved(-DIFFERENCE))
+        };
+        let parameters = (0..self.theta.len()).into_par_iter();
+        Slopes(parameters.map_init(|| structure.model(), slope).collect())
     }
 
     /// Returns `G` at `omega` (rad/s); `None` at the resonance of an undamped mode.
@@ -129,7 +135,11 @@ impl Linearised {
 
     /// Returns `G` and its derivatives at some frequencies; `None` at the resonance of an undamped
     /// mode.
-    pub(crate) fn responses(&self, frequencies: &[Frequency]) -> Option<Vec<Response>> {
+    pub(crate) fn responses(
+        &self,
+        Slopes(slopes): &Slopes,
+        frequencies: &[Frequency],
+    ) -> Option<Vec<Response>> {
         let input = complex(&self.at.input);
         let at_frequency = |frequency: &Frequency| {
             let solver = Solver::new(self, frequency.omega)?;
@@ -152,37 +162,42 @@ impl Linearised {
             pushed: &slope.system * &all,
             shown: &slope.observation * &all,
         };
-        let effects: Vec<Effect> = self.slopes.par_iter().map(effect).collect();
+        let effects: Vec<Effect> = slopes.par_iter().map(effect).collect();
         let response = |(index, (motion, transfer)): (usize, (Motion, Complexes))| Response {
-            slopes: self.slopes_of_transfer(&motion.w, &effects, index),
+            slopes: slopes_of_transfer(slopes, &motion.w, &effects, index),
             transfer,
         };
         Some(found.into_par_iter().enumerate().map(response).collect())
     }
+}
 
-    /// Returns `∂G` with respect to all parameters for the motion number `index`, whose `W` is `w`.
-    fn slopes_of_transfer(&self, w: &Parts, effects: &[Effect], index: usize) -> Complexes {
-        let inputs = self.at.input.ncols();
-        let [re, im] = [2 * index * inputs, (2 * index + 1) * inputs];
-        let width = inputs * effects.len();
-        let mut pushed = Parts::zeros(self.at.input.nrows(), width);
-        let mut shown = Parts::zeros(self.at.direct.nrows(), width);
-        for (parameter, (effect, slope)) in effects.iter().zip(&self.slopes).enumerate() {
-            let own = |of: &DMatrix<f64>, column: usize| of.columns(column, inputs).into_owned();
-            let columns = [
-                (&mut pushed.re, own(&effect.pushed, re) + &slope.input),
-                (&mut pushed.im, own(&effect.pushed, im)),
-                (&mut shown.re, own(&effect.shown, re) + &slope.direct),
-                (&mut shown.im, own(&effect.shown, im)),
-            ];
-            for (all, found) in columns {
-                all.columns_mut(parameter * inputs, inputs)
-                    .copy_from(&found);
-            }
+/// Returns `∂G` with respect to all parameters for the motion number `index`, whose `W` is `w`.
+fn slopes_of_transfer(
+    slopes: &[LinearForm],
+    w: &Parts,
+    effects: &[Effect],
+    index: usize,
+) -> Complexes {
+    let inputs = slopes.first().map_or(0, |slope| slope.input.ncols());
+    let [re, im] = [2 * index * inputs, (2 * index + 1) * inputs];
+    let width = inputs * slopes.len();
+    let mut pushed = Parts::zeros(w.re.ncols(), width);
+    let mut shown = Parts::zeros(w.re.nrows(), width);
+    for (parameter, (effect, slope)) in effects.iter().zip(slopes).enumerate() {
+        let own = |of: &DMatrix<f64>, column: usize| of.columns(column, inputs).into_owned();
+        let columns = [
+            (&mut pushed.re, own(&effect.pushed, re) + &slope.input),
+            (&mut pushed.im, own(&effect.pushed, im)),
+            (&mut shown.re, own(&effect.shown, re) + &slope.direct),
+            (&mut shown.im, own(&effect.shown, im)),
+        ];
+        for (all, found) in columns {
+            all.columns_mut(parameter * inputs, inputs)
+                .copy_from(&found);
         }
-        let seen = w.times(&pushed);
-        (seen.re + shown.re).zip_map(&(seen.im + shown.im), Complex::new)
     }
+    let seen = w.times(&pushed);
+    (seen.re + shown.re).zip_map(&(seen.im + shown.im), Complex::new)
 }
 
 impl Parts {
@@ -356,7 +371,8 @@ mod tests {
         let theta = structure.prior_means();
         let linearised = Linearised::new(&structure, &theta);
         let some = frequencies(&[&linearised], structure.step_s());
-        let responses = linearised.responses(&some).unwrap();
+        let slopes = linearised.slopes(&structure);
+        let responses = linearised.responses(&slopes, &some).unwrap();
         for parameter in 0..theta.len() {
             let [up, down] = [DIFFERENCE, -DIFFERENCE].map(|by| {
                 let mut theta = theta.clone();
