@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::AlertError;
 use crate::scatter::NormalPlusStudent;
 
-/// Mean and standard deviation of the sound value of a parameter, as ratios to nominal.
+/// Mean and standard deviation of a parameter of the undamaged structure, as ratios to nominal.
 ///
 /// The deviation has a known part and a part estimated from the scatter of a few records. The
 /// estimated part is itself uncertain, so a Student variable represents it.

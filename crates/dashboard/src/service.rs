@@ -23,7 +23,8 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
-/// Address of the first dashboard on a machine, reachable only from this machine.
+/// Default address of a dashboard: port 8080 of the loopback interface, reachable only from this
+/// machine. A second dashboard on the same machine needs another port.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
 /// All topics for display, and the past from the history service.

@@ -81,13 +81,14 @@ pub struct ModeDisplay {
     pub epochs: u64,
     /// State after the epoch.
     pub state: ModeState,
-    /// The mode from which it cannot be told apart.
+    /// The other mode of a pair whose two modes cannot be told apart. `None` if the mode is in no
+    /// pair.
     pub partner: Option<Name>,
-    /// What was found in the epoch. `None` if the mode is missing or lost.
+    /// Estimate of the mode in the epoch. `None` if the mode is missing or lost.
     pub estimate: Option<ModeEstimate>,
-    /// Share of the last 20 epochs in which the mode was found.
+    /// Share of the last 20 epochs in which the mode was found, 0 to 1.
     pub presence: f64,
-    /// Whether a machine runs at this frequency. The estimate is then not reliable.
+    /// Whether a machine runs at the frequency of the mode. The estimate is then not reliable.
     pub machine: bool,
     /// Frequency of the mode in the structure file, Hz.
     pub declared_hz: f64,
