@@ -101,6 +101,7 @@ impl ParameterLoss {
 
 /// Returns the probability that the parameter has lost more than `loss` (L, share of the reference,
 /// 0 to 1).
+///
 /// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter minus (1 − L) times the
 /// reference is normal. m and s are the mean and the standard deviation of `estimate`, r and s_r
 /// those of `reference`. Φ is the standard normal distribution function.

@@ -1,4 +1,4 @@
-//! The course of one stiffness parameter over the windows of a record.
+//! The history of one stiffness parameter over the windows of a record.
 //!
 //! Notation: y = ln k, the logarithm of the stiffness as a ratio to nominal, and s its standard
 //! deviation. A change Δy is a relative change of stiffness e^Δy − 1.
@@ -113,7 +113,7 @@ pub struct EventCourse {
 }
 
 impl EventCourse {
-    /// Summarises the course of a parameter over a record.
+    /// Summarises the history of a parameter over a record.
     ///
     /// Windows in which the data contradict the model say nothing about lasting stiffness.
     #[must_use]

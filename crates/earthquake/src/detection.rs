@@ -57,11 +57,13 @@ pub struct DetectionSettings {
 /// Weak motion that is to be recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Due {
-    /// Time of the first frame in the recording of the earthquake (ns).
+    /// Measurement time of the first frame in the recording of the earthquake (ns since the Unix
+    /// epoch).
     pub of_ns: i64,
-    /// Time after the earthquake (s).
+    /// Time from the end of the recording of the earthquake to this recording of weak motion (s).
     pub after_s: f64,
-    /// Time of the first frame that may be recorded (ns).
+    /// Earliest measurement time of a frame that the recording can contain (ns since the Unix
+    /// epoch). It is `after_s` after the end of the recording of the earthquake.
     pub at_ns: i64,
 }
 

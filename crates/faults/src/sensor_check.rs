@@ -317,11 +317,16 @@ impl SensorCheck {
         observed
     }
 
-    /// Learns what sound sensors show from several records, each as returned by
-    /// [`SensorCheck::observed`]. `names` contains the names of the channels of a frame.
+    /// Learns a reference for each channel from `records`, each as returned by
+    /// [`SensorCheck::observed`]. `names` contains the names of the channels in frame order.
     ///
-    /// The scatter between the records is combined with the usual scatter, which counts as half a
-    /// record.
+    /// The result omits channels that no record has observed. It is empty if there are no records.
+    ///
+    /// The scatter between the records is pooled with the usual scatter, which has the weight of
+    /// half a record.
+    ///
+    /// # Panics
+    /// Panics if `names` does not contain a name for an observed channel.
     #[must_use]
     pub fn learn(
         &self,
@@ -342,7 +347,8 @@ impl SensorCheck {
         learnt
     }
 
-    /// Expects what sound sensors have shown before, instead of the motion that the model predicts.
+    /// Replaces the expected behaviour of the channels, predicted by the model, with `references`.
+    /// `names` contains the names of the channels in frame order.
     pub fn expect(&mut self, names: &[&str], references: &[SensorReference]) {
         for group in &mut self.groups {
             let of_channels = group.expected.iter_mut().zip(&mut group.profiles);

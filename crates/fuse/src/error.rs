@@ -5,7 +5,7 @@ use spandrel_checkpoint::CheckpointError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
-/// An error of the fusion service.
+/// An error that prevents the fusion service from starting or continuing.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FuseError {

@@ -60,13 +60,13 @@ const END_WITHIN: Duration = Duration::from_secs(5);
 /// What the history needs to start.
 #[derive(Clone, Debug)]
 pub struct HistoryPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structures.
+    /// The structures whose values are stored.
     pub structures: Vec<Monitored>,
     /// The database.
     pub address: Address,
-    /// How long values are stored.
+    /// Retention time of each resolution.
     pub keep: Keep,
 }
 

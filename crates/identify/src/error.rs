@@ -6,7 +6,7 @@ use spandrel_earthquake::EarthquakeError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
-/// An error of the identification service.
+/// An error that prevents the identification service from starting or continuing.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
