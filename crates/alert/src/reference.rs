@@ -54,7 +54,7 @@ impl Reference {
 
     /// Adds an estimated scatter between records.
     ///
-    /// The probability that the sound value is positive must exceed 0.98. Otherwise no interval of
+    /// The probability that the reference value is positive must exceed 0.98. Otherwise no interval of
     /// a loss is finite.
     ///
     /// # Errors

@@ -39,9 +39,9 @@ const BRIEF: usize = 1_000;
 /// What the alert service of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct AlertPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure whose parameters are watched.
     pub monitored: Monitored,
     /// Baseline that replaces learnt references of the parameters that it contains.
     pub baseline: Option<Baseline>,

@@ -97,9 +97,9 @@ impl From<Listen> for PageSettings {
 /// What the dashboard needs to start.
 #[derive(Clone, Debug)]
 pub struct DashboardPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structures.
+    /// The structures that the page shows.
     pub structures: Vec<Monitored>,
     /// Settings of the page.
     pub page: PageSettings,

@@ -39,10 +39,10 @@ const MESSAGES_WAITING: usize = 1024;
 /// What the fusion of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct FusePlan {
-    /// The instance. Its clock sets the epoch of the estimates, so it must show a later time at
-    /// each start.
+    /// Session, id and clock of the service. The clock sets the epoch of the estimates, so it must
+    /// show a later time at each start.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure whose nodes are fused.
     pub monitored: Monitored,
 }
 

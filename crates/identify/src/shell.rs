@@ -46,15 +46,15 @@ type ProcessInput =
 /// What the identification of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct IdentifyPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure to identify.
     pub monitored: Monitored,
     /// The threads of the filters.
     pub pool: FilterPool,
     /// Whether the instance leads or stands by.
     pub precedence: Precedence,
-    /// What the sensors have shown in the records of the baseline. Empty without a baseline.
+    /// Reference behaviour of the sensors in the records of the baseline. Empty without a baseline.
     pub sensors: Vec<SensorReference>,
 }
 

@@ -48,7 +48,10 @@ pub enum ClockVerdict {
     },
 }
 
-/// The votes of the nodes of a structure. The passage of time is an argument.
+/// Majority vote of the nodes of a structure on the correct time.
+///
+/// It finds nodes whose clock differs from the clock of the majority. It reads no clock: callers
+/// pass the monotonic time of each call.
 #[derive(Debug)]
 pub struct ClockVote {
     limit_ns: i64,

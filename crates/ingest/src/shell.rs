@@ -65,9 +65,9 @@ pub enum FrameWait {
 /// What ingest needs to start.
 #[derive(Clone, Debug)]
 pub struct IngestPlan {
-    /// The instance. The time of its clock is the epoch of the first run.
+    /// Session, id and clock of the service. The time of the clock is the epoch of the first run.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure whose samples are aligned to frames.
     pub monitored: Monitored,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
     /// new epoch.

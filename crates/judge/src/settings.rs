@@ -170,7 +170,8 @@ pub struct Settings {
     pub season: Season,
     /// Judged quantities, at least one.
     pub quantities: Vec<Quantity>,
-    /// Conditions, at most [`Settings::MOST_CONDITIONS`].
+    /// Conditions, such as temperatures, whose effect on the quantities is removed. At most
+    /// [`Settings::MOST_CONDITIONS`].
     pub conditions: Vec<Condition>,
 }
 
@@ -187,13 +188,13 @@ pub enum Season {
 impl Settings {
     /// Default of the budget (false alarms per year and structure).
     pub const FALSE_ALARMS_PER_YEAR: f64 = 0.1;
-    /// Default of the loss of stiffness that matters.
+    /// Default of the loss of stiffness that matters, as a share (2 %).
     pub const LOSS: f64 = 0.02;
     /// Default length of the commissioning (days): all seasons.
     pub const COMMISSIONING_DAYS: u32 = 365;
     /// Shortest and longest commissioning (days).
     pub const COMMISSIONING_RANGE: (u32, u32) = (20, 400);
-    /// Largest number of conditions, which limits the size of the state.
+    /// Maximum number of conditions, which limits the size of the state.
     pub const MOST_CONDITIONS: usize = 3;
 
     /// Checks the ranges.

@@ -46,9 +46,10 @@ const ANNOTATIONS_WAITING: usize = 64;
 /// What the service of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct JudgePlanned {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure, with a table `[judge]`.
+    /// The structure to judge. The service does not start if the structure file has no table
+    /// `[judge]`.
     pub monitored: Monitored,
 }
 
@@ -67,7 +68,7 @@ pub struct JudgeService {
     /// `None` only while another thread judges.
     bench: Option<Bench>,
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
-    /// Queries for the courses of the quantities.
+    /// Queries for the histories of the quantities.
     questions: Questions,
     annotations: Subscription<Annotation>,
     events: EventPublisher,
@@ -233,7 +234,7 @@ impl JudgeService {
         })
     }
 
-    /// Answers a query for the course of a quantity.
+    /// Answers a query for the history of a quantity.
     async fn answer(&self, question: &Question) {
         let Some(bench) = &self.bench else {
             return; // an earlier call has ended the service

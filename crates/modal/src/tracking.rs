@@ -89,14 +89,17 @@ impl TrackedMode {
         }
     }
 
-    /// Returns the share of the last 20 epochs, or of all epochs since the first, with the mode.
+    /// Returns the share of epochs with the mode, 0 to 1, over the last 20 epochs or all epochs
+    /// since the first one with the mode.
     #[must_use]
     pub fn presence(&self) -> f64 {
         let present = self.present.iter().filter(|present| **present).count();
         present as f64 / self.present.len() as f64
     }
 
-    /// Returns `true` if the mode is present often enough for a statement.
+    /// Returns `true` if the mode is present in enough epochs to be reported.
+    ///
+    /// The required share is [`LEAST_PRESENCE`]. It applies after [`LOST_AFTER`] epochs.
     #[must_use]
     pub fn has_statement(&self) -> bool {
         !self.is_lost

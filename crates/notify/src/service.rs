@@ -50,11 +50,11 @@ const END_WITHIN: Duration = Duration::from_secs(5);
 /// What the notifications need to start.
 #[derive(Clone, Debug)]
 pub struct NotifyPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structures.
+    /// The structures whose changes cause notices.
     pub structures: Vec<Monitored>,
-    /// The receivers.
+    /// The receivers of the notices, and when they are notified.
     pub settings: NotifySettings,
 }
 

@@ -45,9 +45,10 @@ const QUESTIONS_WAITING: usize = 64;
 /// What the service of one structure needs to start.
 #[derive(Clone, Debug)]
 pub struct ReportsPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure, with a table `[earthquakes]`.
+    /// The structure to report on. The service does not start if the structure file has no table
+    /// `[earthquakes]`.
     pub monitored: Monitored,
     /// Folder of the recordings and reports.
     pub folder: PathBuf,

@@ -34,9 +34,11 @@ pub enum Severity {
 pub struct Shift {
     /// Name of the parameter.
     pub parameter: String,
-    /// Shift if the true value is the stated value divided by the factor.
+    /// Shift of the estimated parameter (ratio to nominal) if the true value of the other quantity
+    /// is its stated value divided by the factor of the finding.
     pub if_less: f64,
-    /// Shift if the true value is the stated value times the factor.
+    /// Shift of the estimated parameter (ratio to nominal) if the true value of the other quantity
+    /// is its stated value times the factor of the finding.
     pub if_more: f64,
 }
 

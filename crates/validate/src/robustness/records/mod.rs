@@ -38,7 +38,10 @@ pub enum Extent {
     FaultySensors,
 }
 
-/// Runs the real records below `data`, and calls `done` with each row as soon as it is complete.
+/// Identifies the structures from the real records below `data`, and returns one row per case.
+///
+/// Calls `done` with each row, in the order of the result, as soon as the rows of its set of
+/// records are complete. A set of records that is missing gives a skipped row.
 ///
 /// # Errors
 /// Returns an error if an existing record cannot be read or identified.
