@@ -1,4 +1,5 @@
-//! Reference values of the parameters of an undamaged structure, learnt from several records, and their file.
+//! Reference values of the parameters of an undamaged structure, learnt from several records, and
+//! their file.
 //!
 //! Notation: n records; m_i, v_i mean and variance of the parameter from record i
 //! ([`SpanSummary`]).

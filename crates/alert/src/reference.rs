@@ -54,8 +54,8 @@ impl Reference {
 
     /// Adds an estimated scatter between records.
     ///
-    /// The probability that the reference value is positive must exceed 0.98. Otherwise no interval of
-    /// a loss is finite.
+    /// The probability that the reference value is positive must exceed 0.98. Otherwise no interval
+    /// of a loss is finite.
     ///
     /// # Errors
     /// Returns [`AlertError::FewRecords`] if the scatter is too large for so few degrees of

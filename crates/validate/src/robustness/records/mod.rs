@@ -40,8 +40,8 @@ pub enum Extent {
 
 /// Identifies the structures from the real records below `data`, and returns one row per case.
 ///
-/// Calls `done` with each row, in the order of the result, as soon as the rows of its set of
-/// records are complete. A set of records that is missing gives a skipped row.
+/// Calls `done` with each row, in the order of the result, once the row is available. Missing
+/// records are skipped.
 ///
 /// # Errors
 /// Returns an error if an existing record cannot be read or identified.
