@@ -75,7 +75,7 @@ pub struct ParameterLoss {
     pub probability: f64,
     /// Loss of the rule, as a share of the reference.
     pub rule_loss: f64,
-    /// Probability that the rule requires.
+    /// Probability of the loss at and above which the rule raises an alert, 0 to 1.
     pub rule_credibility: f64,
     /// The reference.
     pub reference: Reference,

@@ -91,11 +91,11 @@ pub struct Reference {
     pub kind: ReferenceKind,
     /// Number of events.
     pub events: usize,
-    /// Mean of y.
+    /// Mean of ln(stiffness) of the undamaged structure (y; stiffness as a ratio to nominal).
     pub y: f64,
     /// Standard deviation of y for a further event: √(τ² + se²).
     pub std: f64,
-    /// τ
+    /// Standard deviation of ln(stiffness) between events (τ).
     pub between_std: f64,
     /// Degrees of freedom. `None` for a normal distribution.
     pub degrees_of_freedom: Option<f64>,

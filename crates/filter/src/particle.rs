@@ -83,7 +83,8 @@ pub struct ParticleStep {
     ///
     /// It is about the number of used channels while the particles follow the data.
     pub normalised_innovation_squared: f64,
-    /// `N_eff = 1/Σ W²` after this frame.
+    /// Effective sample size after this frame: `N_eff = 1/Σ W²` with the weights `W`, from 1 to the
+    /// number of particles.
     pub effective_size: f64,
     /// Standard deviation of the weights over their mean after this frame.
     pub coefficient_of_variation: f64,

@@ -377,7 +377,7 @@ fn has_frost(columns: &Columns, days: &[Day], knot: usize) -> bool {
     days.iter().filter(frosty).count() >= FROST_DAYS
 }
 
-/// What the conditions of a day and the days before it let expect.
+/// Prediction of a day from its conditions and the days before it.
 pub(crate) struct Expected {
     /// ln(value), relative to the mean of the commissioning.
     pub(crate) value: f64,

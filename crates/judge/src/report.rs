@@ -40,7 +40,7 @@ pub struct ReferenceReport {
     pub knows_frost: Option<bool>,
     /// Coefficients: at zero, per unit of each condition, and per degree of frost.
     pub coefficients: Vec<f64>,
-    /// ln of the threshold of the detector.
+    /// Natural logarithm of the threshold of the detector.
     pub ln_threshold: f64,
     /// Promised and achieved rate of false alarms, and detection delays.
     pub performance: Performance,

@@ -27,9 +27,9 @@ impl QuantityKind {
 /// A judged quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Quantity {
-    /// Name, unique within the structure.
+    /// Name of the quantity or condition, unique within the structure.
     pub name: String,
-    /// What it measures.
+    /// What the quantity measures: a natural frequency or a stiffness.
     pub kind: QuantityKind,
 }
 
@@ -151,9 +151,9 @@ fn advice(kind: ConditionKind) -> String {
 /// A condition: a measured covariate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
-    /// Name, unique within the structure.
+    /// Name of the quantity or condition, unique within the structure.
     pub name: String,
-    /// What it measures.
+    /// What the condition measures, and in which unit its values arrive.
     pub kind: ConditionKind,
 }
 

@@ -52,7 +52,7 @@ pub struct CourseReference {
     pub knows_frost: Option<bool>,
     /// Budget of this quantity: false alarms per year.
     pub promised_per_year: f64,
-    /// False alarms per year in simulated years.
+    /// Rate of false alarms in simulated years, per year.
     pub achieved_per_year: f64,
     /// Delays by size of loss.
     pub delays: Vec<CourseDelay>,

@@ -24,7 +24,7 @@ pub struct LossDisplay {
     pub loss: f64,
     /// Credible interval of the loss of this structure, with the uncertainty of the reference.
     pub interval: CredibleInterval,
-    /// Probability that the loss exceeds `rule_loss`.
+    /// Probability that the loss exceeds `rule_loss`, 0 to 1.
     pub probability_of_loss: f64,
     /// Loss threshold of the rule, a share of the reference.
     pub rule_loss: f64,

@@ -44,7 +44,7 @@ pub struct ShapeValue {
     pub channel: String,
     /// Real and imaginary part, relative to the channel with the largest amplitude.
     pub value: [f64; 2],
-    /// Standard deviation of the real part.
+    /// Standard deviation of the real part, relative to the channel with the largest amplitude.
     pub std: f64,
 }
 
@@ -62,7 +62,8 @@ pub struct ModeEstimate {
     /// Shape at the channels that take part in the epoch. The channel with the largest amplitude has
     /// the value 1.
     pub shape: Vec<ShapeValue>,
-    /// Standard deviation of the samples of that channel in the band of the mode, in its unit.
+    /// Standard deviation of the samples in the band of the mode, at the channel with the largest
+    /// amplitude, in the unit of the channel.
     pub amplitude: f64,
 }
 

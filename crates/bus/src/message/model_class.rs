@@ -13,7 +13,7 @@ pub struct ClassPlausibility {
     /// Name of the class: from the structure file, `baseline`, or the parameter that the class
     /// singles out.
     pub class: String,
-    /// Probability among the competing classes.
+    /// Probability of the class among the competing classes, 0 to 1.
     pub plausibility: f64,
 }
 

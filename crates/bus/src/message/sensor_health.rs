@@ -62,7 +62,7 @@ pub struct ChannelHealthDisplay {
     pub coherence: Option<f64>,
 }
 
-/// What the comparison shows of the channels of one node.
+/// Health of the channels of one node, from the comparison of all channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SensorHealthDisplay {
     /// The structure.
@@ -71,7 +71,7 @@ pub struct SensorHealthDisplay {
     pub node: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// Its channels.
+    /// Health of the channels of the node that are compared with others.
     pub channels: Vec<ChannelHealthDisplay>,
 }
 

@@ -129,7 +129,8 @@ pub struct ComparedEvent {
     pub name: EventName,
     /// Stiffness in weak motion (ratio to nominal). `None` if the record shows no weak motion.
     pub stiffness: Option<f64>,
-    /// Its interval within the record.
+    /// Interval of the stiffness within the record (ratio to nominal). `None` if the record shows
+    /// no weak motion.
     pub within: Option<Interval>,
     /// Softest moment of the shaking (ratio to nominal). `None` without shaking.
     pub softest: Option<f64>,
@@ -169,7 +170,7 @@ pub struct ParameterReport {
 pub struct ReportSettings {
     /// Loss that matters (share).
     pub loss: f64,
-    /// Probability from which a loss is raised.
+    /// Probability of a loss at and above which the loss is raised, 0 to 1.
     pub credibility: f64,
     /// Peak of the response above which motion is strong (m/s²).
     pub strong_above_m_per_s2: f64,
@@ -207,7 +208,7 @@ pub struct EventReport {
     pub kind: &'static str,
     /// Name of the structure.
     pub structure: String,
-    /// Its description.
+    /// Description of the structure.
     pub description: String,
     /// The event.
     #[serde(flatten)]

@@ -42,7 +42,7 @@ pub struct Analysis {
     pub bands: Vec<ModalSettings>,
     /// The epochs, whose spectra the diagrams show.
     pub epochs: Vec<LadderEpoch>,
-    /// For each epoch, the position of its recording.
+    /// Index of the recording of each epoch, from 0, in the order of `epochs`.
     pub recording: Vec<usize>,
     /// Modes of each epoch.
     pub record: RecordModes,
