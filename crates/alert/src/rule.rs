@@ -4,7 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::{AlertError, Reference};
 
-/// A rule for an alert when a parameter has lost a share of its reference.
+/// A rule that raises an alert when a parameter has lost a share of its reference.
+///
+/// The alert is raised when the probability of the loss has reached the credibility for the sustain
+/// time. It is cleared when the probability has stayed below the clear credibility for the sustain
+/// time. The clear credibility is at most the credibility, which prevents flapping.
+///
+/// The reference is the design value by default. A stricter credibility or a longer sustain time
+/// prevents false alarms, but delays an alert.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rule {
     pub(crate) loss: f64,

@@ -47,7 +47,12 @@ pub struct AlertPlan {
     pub baseline: Option<Baseline>,
 }
 
-/// The alert service of one structure.
+/// The alert service of one structure: it reads estimates from the bus, applies the alert rules,
+/// and publishes each change of an alert.
+///
+/// The service starts with an [`AlertPlan`]. It resumes from its last checkpoint if checkpoints are
+/// configured, and then publishes the state of each parameter again. On a stop, estimates that have
+/// arrived are still processed.
 #[derive(Debug)]
 pub struct AlertService {
     basis: Basis,

@@ -54,7 +54,14 @@ const LOUD: f64 = 4.0;
 /// Painter Street: 5 to 7 % and 18 ms of 0.24 s (judging-real-structures).
 const SCATTER: (f64, f64) = (0.06, 0.05);
 
-/// The check of the channels of a structure.
+/// Checks all channels of a structure for faults, by comparing their motion.
+///
+/// [`SensorCheck::take`] takes one frame after the other and returns each change of a judgement. By
+/// default, the check expects the motion that the model predicts. [`SensorCheck::expect`] replaces
+/// this with references from records.
+///
+/// A channel without common motion with others is not checked, and its health is `None`.
+/// [`SensorCheck::state`] and [`SensorCheck::restore`] write and read a checkpoint.
 #[derive(Debug, Clone)]
 pub struct SensorCheck {
     groups: Vec<Group>,

@@ -65,9 +65,16 @@ pub struct Step {
 
 /// A joint filter of state and parameters with fading memory and identified noise levels.
 ///
-/// Each call of [`ExtendedKalmanFilter::step`] is one time step. It does not allocate, and its
+/// Each call of [`ExtendedKalmanFilter::step`] is one time step. A step does not allocate, and its
 /// results are bit-identical for the same frames. The first frame updates the prior without a
-/// prediction, because the prior applies to the time of that frame.
+/// prediction, because the prior applies to the time of the first frame.
+///
+/// A diverged filter returns an error from `step`, and the caller must call
+/// [`ExtendedKalmanFilter::restart`]. [`ExtendedKalmanFilter::state`] and
+/// [`ExtendedKalmanFilter::restore`] write and read a checkpoint at any frame.
+///
+/// The filter represents the state by a mean and a covariance. For distributions without a Gaussian
+/// shape, [`ParticleFilter`](crate::ParticleFilter) is available at a much higher cost.
 #[derive(Debug, Clone)]
 pub struct ExtendedKalmanFilter<M> {
     model: M,

@@ -70,7 +70,13 @@ pub enum Output {
     Event(Event),
 }
 
-/// The fusion of one structure.
+/// The fusion of the nodes of one structure, without a clock or network.
+///
+/// [`Fusion::handle`] takes messages of the nodes and readings of the clock. It appends fused
+/// estimates, feedback to the nodes, and events.
+///
+/// While any live node has not ended, fusions follow the clock of the station, so that no node can
+/// block the others. With replaying nodes only, a fusion waits for all of them that are present.
 #[derive(Debug)]
 pub struct Fusion {
     structure: Name,

@@ -114,7 +114,15 @@ pub enum Output {
     Event(Event),
 }
 
-/// The identification of one structure: estimator, declared band limit and displays.
+/// The identification of one structure, without a clock or network: frames in, estimates and events
+/// out.
+///
+/// [`Identification::handle`] filters the frames by the declared band limit, checks the sensors and
+/// steps the estimator. A diverged estimator is restarted from its prior and reported as an event.
+///
+/// [`Identification::new`] uses the estimator of the structure file,
+/// [`Identification::with_estimator`] any other one. [`Identification::state`] and
+/// [`Identification::restore`] write and read a checkpoint.
 #[derive(Debug)]
 pub struct Identification {
     structure: Name,

@@ -58,7 +58,13 @@ pub struct IdentifyPlan {
     pub sensors: Vec<SensorReference>,
 }
 
-/// The identification service of one structure.
+/// The identification service of one structure: it reads frames from the bus, and publishes
+/// estimates and events.
+///
+/// Several instances can identify the same structure. One of them leads and the others stand by.
+/// The service resumes from its last checkpoint or from the state of the leader.
+///
+/// On a stop, frames that have arrived are still processed, within one second.
 #[derive(Debug)]
 pub struct IdentifyService {
     /// `None` while joining, and while a pool thread uses it. It is lost if that thread panics.

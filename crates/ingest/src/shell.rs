@@ -95,7 +95,11 @@ enum Sign {
     Lost,
 }
 
-/// The ingest service of one structure.
+/// The ingest service of one structure: it aligns the samples of all nodes to frames, and publishes
+/// and records the frames.
+///
+/// The service starts with an [`IngestPlan`] and runs until it is stopped. Samples that have
+/// arrived by then are still aligned. Without a recording, every start begins a new epoch.
 #[derive(Debug)]
 pub struct IngestService {
     core: Alignment,

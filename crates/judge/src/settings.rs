@@ -157,7 +157,11 @@ pub struct Condition {
     pub kind: ConditionKind,
 }
 
-/// Settings of a judged structure.
+/// Settings of the judgement of one structure.
+///
+/// [`Judge::new`](crate::Judge::new) checks that all settings are in range. The constants of this
+/// type are the usual defaults: 0.1 false alarms per year, a loss of 2 % and a commissioning of 365
+/// days. A smaller budget of false alarms delays the detection of a loss.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Budget: expected number of false alarms per year, for all quantities together.

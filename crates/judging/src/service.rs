@@ -53,7 +53,11 @@ pub struct JudgePlanned {
     pub monitored: Monitored,
 }
 
-/// The service that judges one structure.
+/// The service that judges one structure: it collects epochs from the bus, and publishes the state
+/// of each judged quantity.
+///
+/// At its start, the service judges the saved epochs again. It also answers queries for the history
+/// of a quantity, and takes annotations. An epoch that is not over at a stop is lost.
 #[derive(Debug)]
 pub struct JudgeService {
     keys: Keys,

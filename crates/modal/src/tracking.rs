@@ -156,6 +156,12 @@ impl TrackedMode {
 }
 
 /// Assigns the modes of each epoch to tracked modes.
+///
+/// [`Tracker::update`] takes the modes of one epoch. Modes without a partner become candidates, and
+/// a candidate that persists is proposed. The caller decides: [`Tracker::adopt`] starts the
+/// tracking of a candidate, and [`Tracker::release`] ends it.
+///
+/// The tracker starts without modes and can be serialised between two epochs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tracker {
     birth_epochs: u64,
