@@ -103,8 +103,8 @@ impl ParameterLoss {
 /// 0 to 1).
 ///
 /// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter minus (1 − L) times the
-/// reference is normal. m and s are the mean and the standard deviation of `estimate`, r and s_r
-/// those of `reference`. Φ is the standard normal distribution function.
+/// reference is normal. The symbols m and s are the mean and the standard deviation of `estimate`,
+/// r and s_r those of `reference`. The function Φ is the standard normal distribution function.
 ///
 /// If the scatter between records was estimated ([`Reference::scatter`]), the reference is the sum
 /// of a normal and a Student t variable. The distribution function of the sum then replaces Φ.

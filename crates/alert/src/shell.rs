@@ -36,7 +36,7 @@ const QUESTIONS_WAITING: usize = 16;
 /// another thread.
 const BRIEF: usize = 1_000;
 
-/// What the alert service of one structure needs to start.
+/// Start-up settings of the alert service of one structure.
 #[derive(Clone, Debug)]
 pub struct AlertPlan {
     /// Session, id and clock of the service.

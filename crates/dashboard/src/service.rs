@@ -94,7 +94,7 @@ impl From<Listen> for PageSettings {
     }
 }
 
-/// What the dashboard needs to start.
+/// Start-up settings of the dashboard.
 #[derive(Clone, Debug)]
 pub struct DashboardPlan {
     /// Session, id and clock of the service.

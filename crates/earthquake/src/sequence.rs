@@ -87,7 +87,7 @@ pub enum ReferenceKind {
 /// Reference value of the undamaged structure with which an event is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Reference {
-    /// Where it comes from.
+    /// Origin of the reference value.
     pub kind: ReferenceKind,
     /// Number of events.
     pub events: usize,
@@ -139,7 +139,7 @@ pub struct WeakState {
     pub change: Option<f64>,
 }
 
-/// Why a lasting loss cannot be judged yet.
+/// Reason why a lasting loss cannot be judged yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "reason")]
 pub enum Waiting {
@@ -189,7 +189,7 @@ pub struct Candidate {
     pub since: usize,
     /// The loss. `None` while it cannot be judged.
     pub loss: Option<LastingLoss>,
-    /// What a judgement waits for. `None` if there is one.
+    /// Reason why the loss cannot be judged yet. `None` if there is a judgement.
     pub waiting: Option<Waiting>,
 }
 

@@ -32,7 +32,7 @@ pub struct CheckedSource {
     pub unmapped: BTreeMap<String, u64>,
 }
 
-/// What arrived on one channel of a source.
+/// Samples of one channel that arrived from a source during the check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckedChannel {
     /// Name of the channel in the source.

@@ -433,14 +433,14 @@ impl ModalModel {
     }
 
     /// Returns the matrix that maps modal coordinates and velocities `[q, q̇]` to displacements and
-    /// velocities `[x, ẋ]` (2 N_d × 2 N_d, N_d = number of free degrees of freedom).
+    /// velocities `[x, ẋ]`. It has 2 N_d × 2 N_d elements for N_d free degrees of freedom.
     #[must_use]
     pub fn physical_from_modal(&self) -> DMatrix<f64> {
         twice(&self.shapes)
     }
 
     /// Returns the matrix that maps displacements and velocities `[x, ẋ]` to modal coordinates and
-    /// velocities `[q, q̇]` (2 N_d × 2 N_d, N_d = number of free degrees of freedom).
+    /// velocities `[q, q̇]`. It has 2 N_d × 2 N_d elements for N_d free degrees of freedom.
     #[must_use]
     pub fn modal_from_physical(&self) -> DMatrix<f64> {
         twice(&self.inverse_shapes)

@@ -57,7 +57,7 @@ const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration:
 /// Time limit for writing the last values after a stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// What the history needs to start.
+/// Start-up settings of the history service.
 #[derive(Clone, Debug)]
 pub struct HistoryPlan {
     /// Session, id and clock of the service.

@@ -43,7 +43,7 @@ const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 type ProcessInput =
     fn(&mut Identification, IdentificationInput, &mut Vec<Output>) -> Option<IdentificationInput>;
 
-/// What the identification of one structure needs to start.
+/// Start-up settings of the identification service of one structure.
 #[derive(Clone, Debug)]
 pub struct IdentifyPlan {
     /// Session, id and clock of the service.

@@ -30,7 +30,7 @@ const RECOUNT_NS: i64 = 500_000_000;
 /// Span for which clocks must disagree without a majority before that is reported.
 const TIED_FOR: Duration = Duration::from_secs(3);
 
-/// What the vote says about the clock of a node.
+/// Result of the vote on the clock of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockVerdict {
     /// The clock agrees with the majority, or nothing contradicts it.

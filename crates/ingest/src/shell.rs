@@ -62,7 +62,7 @@ pub enum FrameWait {
     Limited(Duration),
 }
 
-/// What ingest needs to start.
+/// Start-up settings of the ingest service of one structure.
 #[derive(Clone, Debug)]
 pub struct IngestPlan {
     /// Session, id and clock of the service. The time of the clock is the epoch of the first run.

@@ -29,7 +29,7 @@ const CREDIBILITY: f64 = 0.9;
 /// Losses of stiffness whose delay is reported.
 pub(crate) const LOSSES: [f64; 6] = [0.01, 0.02, 0.03, 0.05, 0.10, 0.20];
 
-/// What the detector of a quantity achieves.
+/// Performance of the detector of a quantity: false alarms and detection delays.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Performance {
     /// False alarms per year that this quantity may raise.

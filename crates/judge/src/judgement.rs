@@ -22,12 +22,12 @@ pub enum State {
     Judged,
     /// The conditions are new: the interval says nothing, and the day is not judged.
     OutsideExperience {
-        /// Why they are new.
+        /// Reason why the conditions are outside experience.
         novelty: Novelty,
     },
     /// The day has no value of the quantity, or not all conditions.
     NoStatement {
-        /// Why.
+        /// Reason why the day has no statement.
         why: Absence,
     },
 }
@@ -46,7 +46,7 @@ impl State {
     }
 }
 
-/// Why conditions are outside experience.
+/// Reason why conditions are outside experience.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Novelty {
@@ -56,7 +56,7 @@ pub enum Novelty {
     Extrapolation,
 }
 
-/// Why a day has no statement.
+/// Reason why a day has no statement.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Absence {

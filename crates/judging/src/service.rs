@@ -43,7 +43,7 @@ const REPEAT_EVERY: Duration = Duration::from_secs(5);
 const QUESTIONS_WAITING: usize = 64;
 const ANNOTATIONS_WAITING: usize = 64;
 
-/// What the service of one structure needs to start.
+/// Start-up settings of the judgement service of one structure.
 #[derive(Clone, Debug)]
 pub struct JudgePlanned {
     /// Session, id and clock of the service.

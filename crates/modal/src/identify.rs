@@ -37,7 +37,7 @@ const LINE_KURTOSIS: f64 = -0.75;
 /// Least number of segments for which [`LINE_KURTOSIS`] holds.
 const LEAST_SEGMENTS: usize = 15;
 
-/// What a stable pole represents.
+/// Kind of motion that a stable pole represents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
@@ -50,7 +50,7 @@ pub enum Source {
 /// A mode of one epoch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Mode {
-    /// What the poles represent.
+    /// Kind of motion that the poles represent: a mode of the structure or a machine.
     pub source: Source,
     /// Natural frequency (Hz).
     pub frequency_hz: f64,

@@ -51,7 +51,7 @@ pub struct LadderEpoch {
 pub struct LadderModes {
     /// Modes and machines of all bands, in order of frequency.
     pub modes: Vec<Mode>,
-    /// What each band identified, from the highest to the lowest.
+    /// Modes and poles of each band, from the highest to the lowest.
     pub bands: Vec<Identified>,
 }
 

@@ -17,7 +17,7 @@ pub struct EpochModes {
     pub end: u64,
     /// Length of the epoch (s).
     pub length_s: f64,
-    /// What was identified.
+    /// Modes that were identified in the epoch.
     pub found: LadderModes,
     /// For each mode of `found`, the tracked mode to which it belongs.
     pub of_mode: Vec<Option<ModeId>>,

@@ -89,8 +89,8 @@ impl TrackedMode {
         }
     }
 
-    /// Returns the share of epochs with the mode, 0 to 1, over the last 20 epochs or all epochs
-    /// since the first one with the mode.
+    /// Returns the share of epochs with the mode, 0 to 1. It covers the last 20 epochs, or all
+    /// epochs since the mode was first found.
     #[must_use]
     pub fn presence(&self) -> f64 {
         let present = self.present.iter().filter(|present| **present).count();

@@ -47,7 +47,7 @@ const MAINTENANCE_WAITING: usize = 64;
 /// Time limit after a stop for the notices that are being sent.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// What the notifications need to start.
+/// Start-up settings of the notification service.
 #[derive(Clone, Debug)]
 pub struct NotifyPlan {
     /// Session, id and clock of the service.

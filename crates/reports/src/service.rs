@@ -42,7 +42,7 @@ const MOST_WAITING: usize = 4;
 /// Capacity of the queue for queries.
 const QUESTIONS_WAITING: usize = 64;
 
-/// What the service of one structure needs to start.
+/// Start-up settings of the report service of one structure.
 #[derive(Clone, Debug)]
 pub struct ReportsPlan {
     /// Session, id and clock of the service.
@@ -52,7 +52,7 @@ pub struct ReportsPlan {
     pub monitored: Monitored,
     /// Folder of the recordings and reports.
     pub folder: PathBuf,
-    /// What makes the reports.
+    /// Maker of the reports, one for all recordings of the structure.
     pub maker: Arc<dyn ReportMaker>,
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Format, Malformed, Message, check_label, check_text};
 use crate::name::Name;
 
-/// What an annotation is about.
+/// Subject of an annotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnnotationKind {
@@ -54,7 +54,7 @@ impl AnnotationKind {
     }
 }
 
-/// What an annotation changes in the judgement of lasting change.
+/// Effect of an annotation on the judgement of lasting change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnnotationEffect {

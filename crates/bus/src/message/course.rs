@@ -37,7 +37,7 @@ pub struct CourseDelay {
     pub found_in_a_month: f64,
 }
 
-/// What a learnt reference promises.
+/// Summary of a learnt reference: its commissioning, false alarms and detection delays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CourseReference {
     /// Start of the first day of the commissioning, ns since the Unix epoch, UTC.
@@ -102,8 +102,8 @@ pub struct JudgementCourse {
     pub reference: Option<CourseReference>,
     /// Start of the earliest day that is kept, ns since the Unix epoch, UTC. `None` without days.
     pub kept_from_ns: Option<i64>,
-    /// What people have noted about the quantity, in the order of the notes. It explains the days and
-    /// is not limited to the span.
+    /// Annotations of the quantity by people, in the order of their arrival. They are not limited
+    /// to the requested span.
     pub annotations: Vec<Annotation>,
     /// The days of the span, in chronological order. If the reply cannot contain all, it contains the
     /// last ones.

@@ -41,7 +41,7 @@ pub enum FaultKind {
     Exchanged,
 }
 
-/// What the comparison shows of one channel.
+/// Health of one channel, from the comparison with the other channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelHealthDisplay {
     /// The channel.

@@ -35,9 +35,9 @@ impl Plausibilities {
         }
     }
 
-    /// Updates the plausibilities with the log evidence `ln p(z | D, C)` of every class `C`, and
-    /// returns the log evidence `ln p(z | D)` of all classes. `z` is the measurement of this frame
-    /// and `D` are the data before it.
+    /// Updates the plausibilities with the log evidence `ln p(z | D, C)` of every class `C`.
+    /// Returns the log evidence `ln p(z | D)` of all classes. Here `z` is the measurement of this
+    /// frame and `D` are the data before it.
     ///
     /// The evidence of a diverged filter is minus infinity. No plausibility falls below `floor`; 0
     /// means no floor. If every filter has diverged, nothing changes and the result is minus

@@ -151,7 +151,7 @@ pub enum Source {
 pub struct ParameterReport {
     /// Name of the parameter, or of the whole structure.
     pub name: String,
-    /// Where it comes from.
+    /// Origin of the stiffness.
     pub source: Source,
     /// Course over the windows, as ln k.
     pub course: EventCourse,
@@ -223,7 +223,7 @@ pub struct EventReport {
     pub fundamental_hz: f64,
     /// What decides.
     pub settings: ReportSettings,
-    /// How soon an inspector is needed.
+    /// Urgency of an inspection after the event.
     pub urgency: Urgency,
     /// Rank of the urgency, 1 = most urgent.
     pub rank: u8,
@@ -241,7 +241,7 @@ pub struct EventReport {
     pub sensors: Vec<SensorReport>,
     /// Displacements and drifts of the model (m), or the responses of the structure file.
     pub responses: Vec<ResponsePeak>,
-    /// Why there are none.
+    /// Reason why there are no responses. `None` if there are any.
     pub no_responses: Option<&'static str>,
     /// Spectrum of each measured ground motion (m/s²).
     pub ground_spectra: Vec<GroundSpectrum>,

@@ -29,7 +29,7 @@ pub use row::Row;
 
 use std::path::Path;
 
-/// Which runs of the real records.
+/// Selection of the runs of the real records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
     /// The records as they are, also with a wrong file.
