@@ -82,7 +82,7 @@ impl AnnotationEffect {
 /// A note of a person about a structure or one judged quantity.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Annotation {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The judged quantity that the annotation concerns. `None` for all quantities.
     #[serde(default)]

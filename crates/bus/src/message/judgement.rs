@@ -132,7 +132,7 @@ pub struct DayExpectation {
 /// State of one judged quantity, with one sentence and the numbers behind it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JudgementDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The quantity.
     pub quantity: Name,

@@ -14,9 +14,9 @@ use crate::name::Name;
 /// rule has none. If several rules watch a parameter, the message is that of the first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LossDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -70,9 +70,9 @@ pub struct ModeEstimate {
 /// One declared mode after one epoch.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModeDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The mode.
+    /// Name of the mode.
     pub mode: Name,
     /// Measurement time of the end of the epoch, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -31,7 +31,7 @@ pub struct ClassCalibration {
 /// State of the model classes of a structure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelClassDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

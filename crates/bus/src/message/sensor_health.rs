@@ -44,7 +44,7 @@ pub enum FaultKind {
 /// Health of one channel, from the comparison with the other channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelHealthDisplay {
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// The judgement.
     pub state: Soundness,
@@ -65,9 +65,9 @@ pub struct ChannelHealthDisplay {
 /// Health of the channels of one node, from the comparison of all channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SensorHealthDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The node.
+    /// Name of the node.
     pub node: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
