@@ -37,7 +37,7 @@ pub enum Role {
     Sensor,
 }
 
-/// The meaning of the name that follows a role.
+/// What the NAME part of a common name `ROLE.NAME` refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// Any name. The role applies to all structures of the site.
@@ -164,10 +164,11 @@ impl FromStr for Role {
 }
 
 impl Party {
-    /// Checks a name against its role.
+    /// Creates a party from a role and the name that follows it in `ROLE.NAME`.
     ///
     /// # Errors
-    /// [`PartyError`] states the required form of the name.
+    /// Returns [`PartyError`] with the required form if `name` does not have the form that `role`
+    /// requires.
     pub fn new(role: Role, name: &str) -> Result<Self, PartyError> {
         let parts = name
             .split('.')

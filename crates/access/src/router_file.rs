@@ -32,7 +32,7 @@ pub struct RouterPlan<'p> {
     pub connect: &'p [String],
     /// Path of the router's certificate.
     pub certificate: &'p Path,
-    /// Path of the private key of that certificate.
+    /// Path of the private key of the router's certificate.
     pub key: &'p Path,
     /// Path of the authority's certificate.
     pub authority: &'p Path,

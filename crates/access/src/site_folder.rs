@@ -38,9 +38,9 @@ pub struct SiteFolder {
 /// Files of an issued certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Issued {
-    /// Path of the certificate.
+    /// Path of the issued certificate.
     pub certificate: PathBuf,
-    /// Path of its private key.
+    /// Path of the private key of the certificate.
     pub key: PathBuf,
     /// Day on which the certificate expires, at 0:00 UTC.
     pub expires: Date,

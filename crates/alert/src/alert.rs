@@ -13,21 +13,24 @@ pub struct Alert {
     pub rule: usize,
     /// Index of the parameter in state order.
     pub parameter: usize,
-    /// The new state.
+    /// State of the alert after the change.
     pub state: AlertState,
     /// The estimate that caused the decision.
     pub estimate: ParameterEstimate,
-    /// Time since which the loss has been credible, ns. `None` while it is not credible.
+    /// Measurement time since which the loss has been credible, ns since the Unix epoch, UTC.
+    /// `None` while the loss is not credible.
     pub since_ns: Option<i64>,
     /// Loss specified by the rule, as a share of the reference.
     pub rule_loss: f64,
-    /// Credibility specified by the rule.
+    /// Probability of the loss at and above which the rule raises an alert, 0 to 1.
     pub rule_credibility: f64,
-    /// Current probability of that loss. It is 0 while the reference is learnt.
+    /// Current probability that the loss exceeds the loss of the rule, 0 to 1. It is 0 while the
+    /// reference is learnt.
     pub probability_of_loss: f64,
-    /// The reference of the loss. `None` while it is learnt.
+    /// Reference with which the parameter is compared. `None` while the reference is learnt.
     pub reference: Option<Reference>,
-    /// The loss with its 95 % interval. `None` while the reference is learnt.
+    /// Estimated loss with its 95 % interval, as shares of the reference. `None` while the
+    /// reference is learnt.
     pub loss: Option<LossEstimate>,
     /// The person who has acknowledged the alert, with a note.
     pub acknowledgement: Option<Acknowledged>,

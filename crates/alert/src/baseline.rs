@@ -1,4 +1,5 @@
-//! The sound values of the parameters of a structure, learnt from several records, and their file.
+//! Reference values of the parameters of an undamaged structure, learnt from several records, and
+//! their file.
 //!
 //! Notation: n records; m_i, v_i mean and variance of the parameter from record i
 //! ([`SpanSummary`]).
@@ -33,7 +34,12 @@ use crate::{AlertError, Learning, ParameterEstimate, Reference, Scatter, SpanSum
 
 mod file;
 
-/// The sound values of the parameters of one structure.
+/// Reference values of the parameters of one structure, learnt from records of the undamaged
+/// structure.
+///
+/// A baseline also contains the reference behaviour of the sensors in these records, and the effect
+/// of leaving out a channel. It replaces the learnt references of the alert rules for the
+/// parameters that it contains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baseline {
     structure: String,
@@ -55,17 +61,18 @@ pub struct WithoutSensor {
     pub changes: Vec<f64>,
 }
 
-/// The sound value of one parameter, as ratios to nominal.
+/// Reference value of one parameter of the undamaged structure, as ratios to nominal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ParameterBaseline {
     /// Name of the parameter.
     pub parameter: String,
-    /// Mean of the records.
+    /// Mean of the estimates of all records, as a ratio to nominal.
     pub mean: f64,
-    /// Root mean square of the standard deviations within the records.
+    /// Root mean square of the standard deviations within the records, as a ratio to nominal.
     pub within_std: f64,
-    /// Standard deviation between records. `None` if there is a single record and no stated value.
+    /// Standard deviation between records, as a ratio to nominal. `None` if there is a single
+    /// record and no stated value.
     pub between_std: Option<f64>,
     /// Degrees of freedom of the estimate `between_std`. `None` if it was stated or is unknown.
     pub degrees_of_freedom: Option<f64>,
@@ -209,7 +216,8 @@ impl Baseline {
         self
     }
 
-    /// Returns what the sensors have shown in the records.
+    /// Returns the reference behaviour of the sensors in the records: gain, delay and spectral
+    /// profile relative to the other channels. Each reference states the name of its channel.
     pub fn sensors(&self) -> &[SensorReference] {
         &self.sensors
     }
@@ -240,7 +248,8 @@ impl Baseline {
         self.is_old_file
     }
 
-    /// Returns the sound value of a parameter for any further record.
+    /// Returns the reference value of a parameter of the undamaged structure, for any further
+    /// record.
     ///
     /// Returns `None` if the parameter is not in the baseline, or if there are too few records.
     /// [`Baseline::claim`] distinguishes the two cases.
@@ -248,8 +257,8 @@ impl Baseline {
         self.claim(parameter)?.ok()
     }
 
-    /// Returns the sound value of a parameter for any further record, or the reason why the records
-    /// do not support one.
+    /// Returns the reference value of a parameter of the undamaged structure, for any further
+    /// record, or the reason why the records do not support one.
     ///
     /// Returns `None` if the parameter is not in the baseline.
     ///

@@ -75,7 +75,7 @@ pub struct ParameterLoss {
     pub probability: f64,
     /// Loss of the rule, as a share of the reference.
     pub rule_loss: f64,
-    /// Probability that the rule requires.
+    /// Probability of the loss at and above which the rule raises an alert, 0 to 1.
     pub rule_credibility: f64,
     /// The reference.
     pub reference: Reference,
@@ -99,11 +99,15 @@ impl ParameterLoss {
     }
 }
 
-/// Returns the probability that the parameter has lost more than `loss` (share of the reference).
+/// Returns the probability that the parameter has lost more than `loss` (L, share of the reference,
+/// 0 to 1).
 ///
 /// P = Φ(((1 − L)·r − m) / √(s² + (1 − L)²·s_r²)), because the parameter minus (1 − L) times the
-/// reference is normal. If the scatter between records was estimated ([`Reference::scatter`]), the
-/// reference has a Student part. The distribution function of the sum then replaces Φ.
+/// reference is normal. The symbols m and s are the mean and the standard deviation of `estimate`,
+/// r and s_r those of `reference`. The function Φ is the standard normal distribution function.
+///
+/// If the scatter between records was estimated ([`Reference::scatter`]), the reference is the sum
+/// of a normal and a Student t variable. The distribution function of the sum then replaces Φ.
 pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, loss: f64) -> f64 {
     let kept = 1.0 - loss;
     let margin = kept * reference.mean() - estimate.mean;

@@ -67,7 +67,15 @@ pub struct Subject {
     pub bounds: (f64, f64),
 }
 
-/// The state of one parameter under one rule.
+/// The state machine that decides about one parameter under one rule.
+///
+/// [`Decision::handle`] takes estimates and acknowledgements in order of time, and appends an
+/// [`Alert`] for each change of state. The decision has no clock: all durations are in measurement
+/// time.
+///
+/// With a learnt reference, the decision first learns for the span of the rule. It decides nothing
+/// in this time. It also decides nothing while the data do not support a decision, and states why
+/// in [`Decision::undecided_because`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
     rule_number: usize,

@@ -1,4 +1,4 @@
-//! Learns the sound value of a parameter from the estimates of a time span.
+//! Learns the reference value of a parameter from the estimates of a time span.
 //!
 //! Notation: m_k, s_k mean and standard deviation of the parameter at frame k; w_k = 1/s_k².
 //!

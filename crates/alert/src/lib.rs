@@ -26,7 +26,8 @@
 //!   scatter
 //! - [`support`]: whether the data support a decision
 //! - `motion`: strong motion, in which a loss alone shows no damage
-//! - [`learning`], [`baseline`]: the sound value, learnt from a time span or from several records
+//! - [`learning`], [`baseline`]: the reference value, learnt from a time span or from several
+//!   records
 //! - [`alert`], `wording`: the content and the words of an alert
 //! - [`decision`]: the state machine of one parameter, without clock or network
 //! - [`watch`]: all parameters of one structure

@@ -58,7 +58,7 @@ struct Soft {
 pub(crate) struct Shaking {
     /// Largest acceleration, m/s².
     pub(crate) peak_m_per_s2: f64,
-    /// What earlier motions let expect. `None` without an earlier one.
+    /// Softening predicted from earlier motions. `None` without an earlier motion.
     pub(crate) expected: Option<Expected>,
 }
 
@@ -122,8 +122,8 @@ impl Motion {
         self.softening_since_ns = None;
     }
 
-    /// Returns the present motion against the earlier ones. `limit_m_per_s2` is the acceleration above
-    /// which motion is strong.
+    /// Returns the present motion compared with the earlier motions. `limit_m_per_s2` is the
+    /// acceleration above which motion is strong.
     pub(crate) fn shaking(&self, reference: &Reference, limit_m_per_s2: f64) -> Option<Shaking> {
         let present = self.present.as_ref()?;
         let softened = |peak_m_per_s2: f64, soft: &Soft| Softened {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::AlertError;
 use crate::scatter::NormalPlusStudent;
 
-/// Mean and standard deviation of the sound value of a parameter, as ratios to nominal.
+/// Mean and standard deviation of a parameter of the undamaged structure, as ratios to nominal.
 ///
 /// The deviation has a known part and a part estimated from the scatter of a few records. The
 /// estimated part is itself uncertain, so a Student variable represents it.
@@ -54,8 +54,8 @@ impl Reference {
 
     /// Adds an estimated scatter between records.
     ///
-    /// The probability that the sound value is positive must exceed 0.98. Otherwise no interval of
-    /// a loss is finite.
+    /// The probability that the reference value is positive must exceed 0.98. Otherwise no interval
+    /// of a loss is finite.
     ///
     /// # Errors
     /// Returns [`AlertError::FewRecords`] if the scatter is too large for so few degrees of

@@ -4,7 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::{AlertError, Reference};
 
-/// A rule for an alert when a parameter has lost a share of its reference.
+/// A rule that raises an alert when a parameter has lost a share of its reference.
+///
+/// The alert is raised when the probability of the loss has reached the credibility for the sustain
+/// time. It is cleared when the probability has stayed below the clear credibility for the sustain
+/// time. The clear credibility is at most the credibility, which prevents flapping.
+///
+/// The reference is the design value by default. A stricter credibility or a longer sustain time
+/// prevents false alarms, but delays an alert.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rule {
     pub(crate) loss: f64,
@@ -14,7 +21,7 @@ pub struct Rule {
     pub(crate) reference: ReferenceRule,
 }
 
-/// The origin of the reference.
+/// The origin of the reference with which a loss is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum ReferenceRule {
     /// A reference known in advance.
@@ -89,27 +96,32 @@ impl Rule {
         })
     }
 
-    /// Returns the loss of the rule, as a share of the reference.
+    /// Returns the loss that the rule watches for, as a share of the reference (0 to 1).
     pub fn loss(&self) -> f64 {
         self.loss
     }
 
-    /// Returns the probability of the loss at which an alert is raised.
+    /// Returns the credibility: the probability of the loss at and above which an alert is raised
+    /// (0 to 1).
     pub fn credibility(&self) -> f64 {
         self.credibility
     }
 
-    /// Returns the time for which that probability must last, ns.
+    /// Returns the sustain time (ns).
+    ///
+    /// An alert is raised when the probability of the loss has reached the credibility for this
+    /// long. It is cleared when the probability has stayed below the clear credibility for as long.
     pub fn sustain_ns(&self) -> i64 {
         self.sustain_ns
     }
 
-    /// Returns the probability of the loss below which a raised alert is cleared.
+    /// Returns the clear credibility: the probability of the loss below which a raised alert is
+    /// cleared (0 to the credibility).
     pub fn clear_credibility(&self) -> f64 {
         self.clear_credibility
     }
 
-    /// Returns the origin of the reference.
+    /// Returns the origin of the reference with which the loss is compared.
     pub fn reference(&self) -> ReferenceRule {
         self.reference
     }

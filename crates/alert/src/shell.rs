@@ -36,18 +36,23 @@ const QUESTIONS_WAITING: usize = 16;
 /// another thread.
 const BRIEF: usize = 1_000;
 
-/// What the alert service of one structure needs to start.
+/// Start-up settings of the alert service of one structure.
 #[derive(Clone, Debug)]
 pub struct AlertPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure whose parameters are watched.
     pub monitored: Monitored,
     /// Baseline that replaces learnt references of the parameters that it contains.
     pub baseline: Option<Baseline>,
 }
 
-/// The alert service of one structure.
+/// The alert service of one structure: it reads estimates from the bus, applies the alert rules,
+/// and publishes each change of an alert.
+///
+/// The service starts with an [`AlertPlan`]. It resumes from its last checkpoint if checkpoints are
+/// configured, and then publishes the state of each parameter again. On a stop, estimates that have
+/// arrived are still processed.
 #[derive(Debug)]
 pub struct AlertService {
     basis: Basis,

@@ -16,7 +16,11 @@ use crate::{
     wording::End,
 };
 
-/// The decisions on one structure, which also serve as the state in its checkpoint.
+/// The decisions on all watched parameters of one structure.
+///
+/// A watch takes blocks of estimates in order and passes each estimate to the decision of its
+/// parameter. It contains no clock and no network, and also serves as the state in the checkpoint
+/// of the alert service.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Watch {
     parameter_count: usize,

@@ -42,9 +42,9 @@ struct Line {
 pub struct PythonPeer {
     /// Name of the filter.
     pub name: String,
-    /// Times of its steps.
+    /// Times of the steps of the filter, as measured in Python.
     pub times: Times,
-    /// State after the last frame (n).
+    /// Mean of the state after the last frame (one value per state entry).
     pub mean: Vec<f64>,
 }
 

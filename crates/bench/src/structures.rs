@@ -45,8 +45,8 @@ impl Monitored {
         }
     }
 
-    /// Creates the three-pier bridge with twelve channels at 400 frames per second. It has 127
-    /// states.
+    /// Creates the three-pier bridge with `frames` simulated frames of twelve channels at 400
+    /// frames per second. It has 127 states.
     ///
     /// # Errors
     /// The structure file is not valid.
@@ -67,8 +67,8 @@ impl Monitored {
         ))
     }
 
-    /// Creates the tower at 50 frames per second. It has 372 states and modes in the kilohertz
-    /// range.
+    /// Creates the tower with `frames` simulated frames at 50 frames per second. It has 372 states
+    /// and modes in the kilohertz range.
     ///
     /// # Errors
     /// The structure file is not valid.
@@ -78,7 +78,8 @@ impl Monitored {
         Ok(Self::new("tower", Structure::parse(&text, &path)?, frames))
     }
 
-    /// Creates the dome of 42 bars at 500 frames per second, for [`Self::bank`].
+    /// Creates the dome of 42 bars with `frames` simulated frames at 500 frames per second. Its
+    /// bars are the components that [`Self::bank`] requires.
     ///
     /// # Errors
     /// The structure file is not valid.
@@ -136,13 +137,16 @@ fn example(name: &str) -> Result<(String, std::path::PathBuf), Box<dyn Error>> {
 }
 
 /// A linear system over one step: `y ← F y + w`, `z = H y + n`.
+///
+/// `y` is the state (n entries), `z` the observation (N_0 channels), `w` the process noise and `n`
+/// the measurement noise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearStep {
-    /// Transition `F` (n × n).
+    /// State transition matrix `F` of one step (n × n, n = number of states).
     pub transition: DMatrix<f64>,
-    /// Covariance of `w` (n × n).
+    /// Covariance of the process noise `w` over one step (n × n, n = number of states).
     pub process_noise: DMatrix<f64>,
-    /// Observation matrix `H` (N_0 × n).
+    /// Observation matrix `H` (N_0 × n, N_0 = number of channels, n = number of states).
     pub observation: DMatrix<f64>,
 }
 

@@ -10,17 +10,20 @@ use std::path::Path;
 pub struct Row {
     /// Number of storeys, `N`.
     pub storeys: usize,
-    /// Spandrel's filter with fading memory and identified noise.
+    /// Time per step of Spandrel's filter with fading memory and identified noise, in s.
     pub spandrel: f64,
-    /// Spandrel's filter with known noise, as in the other filters of this table.
+    /// Time per step of Spandrel's filter with known noise, as in the other filters of this table,
+    /// in s.
     pub spandrel_known: f64,
-    /// Lower bound from operations and bytes ([`crate::floor`]).
+    /// Lower bound on the time per step, from the numbers of operations and bytes
+    /// ([`crate::floor`]), in s.
     pub floor: f64,
-    /// Textbook filter with dense nalgebra matrices and a matrix exponential ([`crate::dense`]).
+    /// Time per step of a textbook filter with dense nalgebra matrices and a matrix exponential
+    /// ([`crate::dense`]), in s.
     pub dense: f64,
-    /// Filter of the Python library filterpy, with SciPy's `expm`.
+    /// Time per step of the filter of the Python library filterpy, with SciPy's `expm`, in s.
     pub filterpy: f64,
-    /// Textbook filter with NumPy matrices and SciPy's `expm`.
+    /// Time per step of a textbook filter with NumPy matrices and SciPy's `expm`, in s.
     pub numpy: f64,
 }
 

@@ -236,14 +236,14 @@ impl Keys {
         self.all(KeyFamily::Judgement)
     }
 
-    /// Returns the key to query the course of the judgement of one quantity. The service judge
+    /// Returns the key to query the history of the judgement of one quantity. The service `judge`
     /// replies.
     #[must_use]
     pub fn judgement_course(&self, quantity: &Name) -> String {
         self.key(KeyFamily::JudgementCourse, quantity)
     }
 
-    /// Returns the key expression of the courses of all quantities.
+    /// Returns the key expression of the judgement histories of all quantities.
     #[must_use]
     pub fn all_judgement_courses(&self) -> String {
         self.all(KeyFamily::JudgementCourse)

@@ -61,9 +61,9 @@ impl Keep {
 /// Removal of blocks by age, before a ring is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Forget {
-    /// Number of latest items that are kept regardless of their age.
+    /// Number of the latest items that are kept regardless of their age.
     pub at_least: u64,
-    /// Age from which other items are removed.
+    /// Age from which items are removed, except for the latest `at_least` items.
     pub after: Duration,
 }
 

@@ -321,7 +321,12 @@ fn reach(address: &str) -> std::io::Result<()> {
     result
 }
 
-/// A session, shared by all services of a process. Cloning is cheap.
+/// A Zenoh session, shared by all services of a process.
+///
+/// [`Bus::open`] opens the session and [`Bus::close`] closes it with all its declarations. Cloning
+/// is cheap, and all clones use the same session, so closing one of them ends the others.
+///
+/// A session requires a multi-threaded tokio runtime.
 #[derive(Clone, Debug)]
 pub struct Bus {
     session: Session,

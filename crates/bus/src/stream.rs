@@ -127,7 +127,13 @@ impl StreamCounts {
     }
 }
 
-/// A reader of a lossless stream. Reading ends when it is dropped.
+/// A reader of a lossless stream, created by [`Bus::follow`].
+///
+/// The reader delivers each item once and in order. It fetches missing items from the buffer of the
+/// source, and reports a gap for items that are lost permanently. If the consumer is slow, the
+/// reader waits. Excess messages are dropped and fetched later.
+///
+/// Reading ends when the stream is dropped.
 #[derive(Debug)]
 pub struct Stream<B> {
     deliveries: flume::Receiver<Delivery<B>>,

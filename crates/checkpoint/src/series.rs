@@ -52,9 +52,9 @@ pub struct Checkpoints {
 /// The result of loading a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Loaded<T> {
-    /// The state and its position; `None` if there is no usable checkpoint.
+    /// The restored state with its position in the stream. `None` if there is no usable checkpoint.
     pub found: Option<(Place, T)>,
-    /// Rejected files under their new names, and the reasons.
+    /// Rejected files, each with its path after it was renamed and the reason for the rejection.
     pub refused: Vec<(PathBuf, Refusal)>,
 }
 
@@ -331,8 +331,10 @@ impl Checkpoints {
     }
 }
 
-/// Returns `true` if a file system rejected a change as read-only or not permitted. Such a folder can
-/// become usable while the program runs.
+/// Returns `true` if `error` means that the file system is read-only or that permission is missing.
+///
+/// A folder with such an error can become writable while the program runs, so a later attempt is
+/// useful.
 #[must_use]
 pub fn may_become_writable(error: &io::Error) -> bool {
     let kinds = [

@@ -4,7 +4,7 @@ use spandrel_bus::Name;
 use std::io;
 use std::path::PathBuf;
 
-/// An error of the dashboard.
+/// An error that prevents the dashboard from starting or from serving its page.
 #[derive(Debug, thiserror::Error)]
 pub enum DashboardError {
     /// The address is in use or invalid, or this process may not listen on it.

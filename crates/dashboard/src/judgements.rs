@@ -1,4 +1,4 @@
-//! Requests for the course of a judged quantity.
+//! Requests for the history of a judged quantity.
 
 use crate::api::Mistake;
 use crate::history::{Format, time};

@@ -232,7 +232,7 @@ impl Server {
         asked.join_all().await.into_iter().flatten().collect()
     }
 
-    /// Queries the service judge for the course of a quantity. Returns `None` without a reply in
+    /// Queries the service `judge` for the history of a quantity. Returns `None` without a reply in
     /// time.
     pub(crate) async fn ask_course(
         &self,

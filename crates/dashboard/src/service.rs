@@ -23,7 +23,8 @@ use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tracing::{info, warn};
 
-/// Address of the first dashboard on a machine, reachable only from this machine.
+/// Default address of a dashboard: port 8080 of the loopback interface, reachable only from this
+/// machine. A second dashboard on the same machine needs another port.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
 /// All topics for display, and the past from the history service.
@@ -93,12 +94,12 @@ impl From<Listen> for PageSettings {
     }
 }
 
-/// What the dashboard needs to start.
+/// Start-up settings of the dashboard.
 #[derive(Clone, Debug)]
 pub struct DashboardPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structures.
+    /// The structures that the page shows.
     pub structures: Vec<Monitored>,
     /// Settings of the page.
     pub page: PageSettings,

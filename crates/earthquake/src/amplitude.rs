@@ -22,31 +22,35 @@ const SCATTER: f64 = 0.25;
 /// One event with shaking.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Softened {
-    /// h: decades of amplitude above the limit of weak motion.
+    /// Amplitude above the limit of weak motion, in decades (h).
     pub decades: f64,
-    /// d: change of ln(stiffness) from weak motion to the softest moment.
+    /// Change of ln(stiffness) from weak motion to the softest moment (d), negative if the
+    /// structure softened.
     pub change: f64,
-    /// v: variance of d.
+    /// Variance of the change of ln(stiffness) (v).
     pub variance: f64,
 }
 
-/// What the earlier events let expect at an amplitude.
+/// Softening predicted from the earlier events at the amplitude of the present event.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Expected {
-    /// Expected relative change of stiffness, such as −0.3.
+    /// Expected relative change of the stiffness, such as −0.3 for a softening by 30 %.
     pub change: f64,
-    /// Difference between found and expected, in standard deviations. Negative = softer.
+    /// Observed minus expected change of ln(stiffness), in standard deviations. Negative if the
+    /// structure softened more than expected.
     pub deviations: f64,
-    /// Number of earlier events with shaking.
+    /// Number of earlier events with shaking, on which the prediction is based.
     pub events: usize,
-    /// Whether the difference is below 2 standard deviations.
+    /// Whether the observed change differs from the expected change by less than 2 standard
+    /// deviations.
     pub is_as_expected: bool,
 }
 
 /// Difference to the expected softening that is still as expected (standard deviations).
 const AS_EXPECTED: f64 = 2.0;
 
-/// Compares an event with the earlier ones. Returns `None` without an earlier event that shook.
+/// Compares the softening of an event with the softening predicted from the earlier events. Returns
+/// `None` if there is no earlier event with shaking.
 #[must_use]
 pub fn compare(earlier: &[Softened], now: &Softened) -> Option<Expected> {
     if earlier.is_empty() {

@@ -13,39 +13,44 @@
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Minimum number of events for a statement about a further one: one degree of freedom.
+/// Minimum number of events from which the next event can be predicted. K events leave K − 2
+/// degrees of freedom, so three events leave one.
 pub const FEWEST_EVENTS: usize = 3;
 
-/// The value of one event.
+/// The value of a quantity in one event, with its uncertainty within the record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EventValue {
-    /// θ
+    /// Value of the quantity in the event (θ), in the unit of the quantity.
     pub value: f64,
-    /// s, above 0.
+    /// Standard deviation of the value within the record (s), in the unit of the quantity. Must be
+    /// above 0.
     pub std: f64,
 }
 
-/// Several events together.
+/// The values of several events, combined by a random-effects model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Pooled {
-    /// K
+    /// Number of events (K).
     pub events: usize,
-    /// θ̄*
+    /// Weighted mean over the events (θ̄*), in the unit of the quantity.
     pub mean: f64,
-    /// se
+    /// Standard error of the weighted mean (se), in the unit of the quantity.
     pub mean_std: f64,
-    /// τ
+    /// Standard deviation of the true values between events (τ), in the unit of the quantity.
     pub between_std: f64,
-    /// Q
+    /// Cochran's Q: weighted sum of the squared deviations from the mean, without unit.
     pub q: f64,
 }
 
 /// An interval that contains a value with a stated probability.
+///
+/// The interval does not store this probability.
+/// [`JudgeSettings::level`](crate::JudgeSettings::level) sets it for the judgement of events.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
-    /// Lower end.
+    /// Lower bound of the interval, in the unit of the value.
     pub low: f64,
-    /// Upper end.
+    /// Upper bound of the interval, in the unit of the value.
     pub high: f64,
 }
 

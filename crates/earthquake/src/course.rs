@@ -1,4 +1,4 @@
-//! The course of one stiffness parameter over the windows of a record.
+//! The history of one stiffness parameter over the windows of a record.
 //!
 //! Notation: y = ln k, the logarithm of the stiffness as a ratio to nominal, and s its standard
 //! deviation. A change Δy is a relative change of stiffness e^Δy − 1.
@@ -14,32 +14,35 @@ pub struct FrameEstimate {
     pub mean: f64,
     /// Standard deviation within the record (ratio to nominal).
     pub std: f64,
-    /// Whether the frame teaches something about the parameter.
+    /// Whether the frame informs about the parameter.
     pub is_learning: bool,
     /// Whether the data contradict the model.
     pub is_contradicted: bool,
 }
 
-/// The parameter in one window.
+/// The stiffness parameter in one window of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CoursePoint {
     /// Start of the window since the first frame (s).
     pub start_s: f64,
     /// End of the window since the first frame (s).
     pub end_s: f64,
-    /// What the window shows.
+    /// Phase of the motion in the window.
     pub phase: Phase,
-    /// Amplitude: log10 of the root mean square of the response.
+    /// Amplitude of the response in the window: log10 of its root mean square (unit of the
+    /// channels).
     pub amplitude: f64,
-    /// y, the mean of ln k over the frames that teach something.
+    /// Mean of ln(stiffness) over the frames that inform about the parameter (y; stiffness as a
+    /// ratio to nominal).
     pub y: f64,
-    /// s within the record.
+    /// Standard deviation of ln(stiffness) within the record (s).
     pub s: f64,
-    /// Whether the data contradict the model in most of these frames.
+    /// Whether the data contradict the model in most of the frames that inform about the parameter.
     pub is_contradicted: bool,
 }
 
-/// Returns one point for each window in which at least half of the frames teach something.
+/// Returns one point for each window in which at least half of the frames inform about the
+/// parameter.
 ///
 /// `estimates` has one element per frame.
 #[must_use]
@@ -73,14 +76,14 @@ pub fn course(windows: &[Window], estimates: &[FrameEstimate]) -> Vec<CoursePoin
         .collect()
 }
 
-/// The weak motion of a record: what it says about the lasting stiffness.
+/// The lasting stiffness that the weak motion of a record shows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WeakMotion {
-    /// Mean of y over the windows.
+    /// Mean of ln(stiffness) over the windows of weak motion (y; stiffness as a ratio to nominal).
     pub y: f64,
-    /// Standard deviation of this mean within the record.
+    /// Standard deviation of the mean of ln(stiffness) within the record (s).
     pub s: f64,
-    /// Number of windows.
+    /// Number of windows of weak motion.
     pub windows: usize,
 }
 
@@ -97,12 +100,12 @@ pub(crate) enum Memory {
 /// Number of windows at the end of a record that show the regained stiffness.
 const LAST_WINDOWS: usize = 4;
 
-/// One event, as far as one parameter is concerned.
+/// The history of one stiffness parameter over the record of one event.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EventCourse {
     #[serde(skip)]
     pub(crate) memory: Memory,
-    /// All windows that teach something.
+    /// All windows that inform about the parameter, in order of time.
     pub points: Vec<CoursePoint>,
     /// Whether the record contains shaking, learnt from or not.
     pub has_shaking: bool,
@@ -113,7 +116,7 @@ pub struct EventCourse {
 }
 
 impl EventCourse {
-    /// Summarises the course of a parameter over a record.
+    /// Summarises the history of a parameter over a record.
     ///
     /// Windows in which the data contradict the model say nothing about lasting stiffness.
     #[must_use]

@@ -35,7 +35,7 @@ const LONGEST_S: f64 = 600.0;
 /// Maximum number of later recordings that wait. One recording serves all that are due.
 const MOST_DUE: usize = 64;
 
-/// What counts as an earthquake.
+/// Limits of the motion that counts as an earthquake, and of the recordings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectionSettings {
     /// Sampling rate (Hz).
@@ -57,15 +57,17 @@ pub struct DetectionSettings {
 /// Weak motion that is to be recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Due {
-    /// Time of the first frame in the recording of the earthquake (ns).
+    /// Measurement time of the first frame in the recording of the earthquake (ns since the Unix
+    /// epoch).
     pub of_ns: i64,
-    /// Time after the earthquake (s).
+    /// Time from the end of the recording of the earthquake to this recording of weak motion (s).
     pub after_s: f64,
-    /// Time of the first frame that may be recorded (ns).
+    /// Earliest measurement time of a frame that the recording can contain (ns since the Unix
+    /// epoch). It is `after_s` after the end of the recording of the earthquake.
     pub at_ns: i64,
 }
 
-/// How the recording of an earthquake ended.
+/// Reason why the recording of an earthquake ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ending {
@@ -77,7 +79,7 @@ pub enum Ending {
     Interrupted,
 }
 
-/// Why frames are recorded.
+/// Reason why frames are recorded.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CutKind {
@@ -102,7 +104,7 @@ pub struct Cut {
     pub first: u64,
     /// Frame behind the last one.
     pub end: u64,
-    /// Why.
+    /// Reason for the recording.
     pub kind: CutKind,
 }
 

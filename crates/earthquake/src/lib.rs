@@ -2,7 +2,7 @@
 //! whether it recovered, and whether it has lost stiffness for good.
 //!
 //! The inputs are the samples of the sensors and the stiffness estimates of each frame. The outputs
-//! are figures of the motion, the course of each stiffness over the phases of the record, and one
+//! are figures of the motion, the history of each stiffness over the phases of the record, and one
 //! judgement per event. The judgement compares an event with the earlier ones of the structure.
 //!
 //! ```
@@ -29,7 +29,7 @@
 //! - [`oscillator`]: spectral acceleration
 //! - [`phase`]: windows of a record, and whether they are quiet, shaking, settling or weak motion
 //! - [`detection`]: when an earthquake begins and ends in a stream of frames, and what is recorded
-//! - [`course`]: the course of a stiffness over the windows
+//! - [`course`]: the history of a stiffness over the windows
 //! - [`equivalent`]: the equivalent-linear stiffness of the whole structure in each window
 //! - [`between`]: the scatter between events
 //! - [`amplitude`]: softening expected at an amplitude

@@ -19,7 +19,7 @@ const SHORTEST_S: f64 = 3.0;
 /// Ratio to the level before the event below which a window is quiet.
 const QUIET_RATIO: f64 = 3.0;
 
-/// What a window shows.
+/// Phase of the motion in a window of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Phase {
@@ -71,19 +71,19 @@ pub struct PhaseSettings {
 /// One window of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Window {
-    /// First frame.
+    /// Index of the first frame of the window, from 0.
     pub first: usize,
-    /// Frame behind the last one.
+    /// Index of the frame after the last frame of the window.
     pub end: usize,
-    /// Start since the first frame (s).
+    /// Start of the window, since the first frame of the record (s).
     pub start_s: f64,
-    /// End since the first frame (s).
+    /// End of the window, since the first frame of the record (s).
     pub end_s: f64,
     /// Root mean square of all response channels (unit of the channels).
     pub rms: f64,
     /// Largest absolute value of any response channel (unit of the channels).
     pub peak: f64,
-    /// What the window shows.
+    /// Phase of the motion in the window: quiet, shaking, settling or weak.
     pub phase: Phase,
 }
 

@@ -37,14 +37,14 @@ const NORMAL: f64 = 1e6;
 /// Minimum number of weak windows after shaking for a statement from one record.
 const FEWEST_WINDOWS: usize = 3;
 
-/// What is judged, and how certain a statement must be.
+/// Settings of the judgement: the loss that matters, and the required probabilities.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JudgeSettings {
-    /// Loss of stiffness that matters (share of the sound stiffness).
+    /// Loss of stiffness that matters, as a share of the undamaged stiffness (above 0 and below 1).
     pub loss: f64,
-    /// Probability from which a loss is raised.
+    /// Probability of the loss at and above which the loss is raised (above 0 and below 1).
     pub credibility: f64,
-    /// Level of the stated intervals.
+    /// Probability of the reported intervals, above 0 and below 1, such as 0.95.
     pub level: f64,
     /// log10 of the root mean square above which motion is strong.
     pub weak_amplitude: f64,
@@ -69,7 +69,7 @@ impl JudgeSettings {
     }
 }
 
-/// Where the sound value comes from.
+/// Origin of the reference value of the undamaged structure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReferenceKind {
@@ -84,18 +84,18 @@ pub enum ReferenceKind {
     OwnRecovery,
 }
 
-/// The sound value of an event.
+/// Reference value of the undamaged structure with which an event is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Reference {
-    /// Where it comes from.
+    /// Origin of the reference value.
     pub kind: ReferenceKind,
     /// Number of events.
     pub events: usize,
-    /// Mean of y.
+    /// Mean of ln(stiffness) of the undamaged structure (y; stiffness as a ratio to nominal).
     pub y: f64,
     /// Standard deviation of y for a further event: √(τ² + se²).
     pub std: f64,
-    /// τ
+    /// Standard deviation of ln(stiffness) between events (τ).
     pub between_std: f64,
     /// Degrees of freedom. `None` for a normal distribution.
     pub degrees_of_freedom: Option<f64>,
@@ -106,19 +106,21 @@ pub struct Reference {
 pub struct Softening {
     /// Middle of the softest window since the first frame (s).
     pub at_s: f64,
-    /// log10 of the root mean square of the response in this window.
+    /// log10 of the root mean square of the response in the softest window (unit of the channels).
     pub amplitude: f64,
-    /// Relative change of stiffness, such as −0.4.
+    /// Relative change of the stiffness in the softest window, such as −0.4 for a softening by 40
+    /// %.
     pub change: f64,
-    /// Interval of the change, with the scatter between events.
+    /// Interval of the relative change, including the scatter between events.
     pub interval: Interval,
-    /// Probability that the stiffness was below (1 − loss) times the sound one.
+    /// Probability that the stiffness was below (1 − loss) times the stiffness of the undamaged
+    /// structure, 0 to 1.
     pub probability: f64,
-    /// Whether this probability reaches the credibility.
+    /// Whether the probability of the loss reaches the credibility of the settings.
     pub is_raised: bool,
-    /// Whether the data contradict the model in this window, so that the figures are rough.
+    /// Whether the data contradict the model in the softest window, so that the figures are rough.
     pub is_contradicted: bool,
-    /// What the earlier events let expect. `None` if none of them shook.
+    /// Prediction of the softening from the earlier events. `None` if no earlier event had shaking.
     pub expected: Option<Expected>,
 }
 
@@ -127,16 +129,17 @@ pub struct Softening {
 pub struct WeakState {
     /// Weak motion of the record, after the shaking if there was any.
     pub motion: WeakMotion,
-    /// Interval of k within this record (ratio to nominal).
+    /// Interval of the stiffness within the record, as a ratio to nominal.
     pub within: Interval,
-    /// Interval of k that the earlier events predict (ratio to nominal). `None` with fewer than
-    /// three earlier events.
+    /// Interval of the stiffness that the earlier events predict, as a ratio to nominal. `None`
+    /// with fewer than three earlier events.
     pub predicted: Option<Interval>,
-    /// Relative change against the earlier events. `None` without any.
+    /// Relative change of the stiffness since the earlier events, negative for a loss. `None`
+    /// without earlier events.
     pub change: Option<f64>,
 }
 
-/// Why a lasting loss cannot be judged yet.
+/// Reason why a lasting loss cannot be judged yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case", tag = "reason")]
 pub enum Waiting {
@@ -160,21 +163,22 @@ pub enum Waiting {
 /// A lasting loss since an event, judged from weak motion.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LastingLoss {
-    /// Number of events before, m.
+    /// Number of events before the possible loss (m in the formulas).
     pub earlier: usize,
-    /// Number of events since, n.
+    /// Number of events since the possible loss (n in the formulas).
     pub later: usize,
-    /// Most probable loss (share of the stiffness before; negative = stiffer).
+    /// Most probable loss, as a share of the stiffness before. Negative if the structure became
+    /// stiffer.
     pub loss: f64,
-    /// Interval of the loss.
+    /// Interval of the loss, as shares of the stiffness before.
     pub interval: Interval,
-    /// Probability of any loss.
+    /// Probability that the stiffness has decreased at all, 0 to 1.
     pub probability_of_any: f64,
-    /// Probability of more than the loss that matters.
+    /// Probability that the loss exceeds the loss that matters, 0 to 1.
     pub probability: f64,
-    /// Smallest loss that this number of events could raise.
+    /// Smallest loss that this number of events could raise, as a share of the stiffness before.
     pub smallest: f64,
-    /// Whether the probability reaches the credibility.
+    /// Whether the probability of the loss reaches the credibility of the settings.
     pub is_raised: bool,
 }
 
@@ -185,7 +189,7 @@ pub struct Candidate {
     pub since: usize,
     /// The loss. `None` while it cannot be judged.
     pub loss: Option<LastingLoss>,
-    /// What a judgement waits for. `None` if there is one.
+    /// Reason why the loss cannot be judged yet. `None` if there is a judgement.
     pub waiting: Option<Waiting>,
 }
 

@@ -6,7 +6,8 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Urgency {
-    /// A lasting loss is raised, or the structure softened more than its earlier events let expect.
+    /// A lasting loss is raised, or the structure softened more than predicted from its earlier
+    /// events.
     InspectFirst,
     /// The structure softened, and whether it recovered is not judged; or a lasting loss is probable.
     Inspect,
@@ -57,12 +58,12 @@ impl Urgency {
 /// after a day.
 const RANKS_FOR_S: f64 = 2.0 * 86_400.0;
 
-/// What decides which report ranks a structure.
+/// Time and urgency of a report, from which [`ranking`] selects the report that ranks a structure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dated {
-    /// Time of the report (s, of the same origin for all reports).
+    /// Time of the report (s). All reports must use the same origin.
     pub time_s: f64,
-    /// Rank of its urgency, from 1 for the most urgent.
+    /// Rank of the urgency of the report, from 1 for the most urgent.
     pub rank: u8,
 }
 

@@ -44,14 +44,16 @@ pub struct ChannelHealth {
     pub soundness: Soundness,
     /// Probability of a fault, 0 to 1.
     pub probability: f64,
-    /// The most probable fault. `None` for a sound channel.
+    /// The most probable fault. `None` for a channel that works.
     pub fault: Option<Fault>,
-    /// Factor between the channel and the motion of the others, 1 for a sound channel. `None`
-    /// before the first comparison.
+    /// Ratio of the channel to the motion that the other channels imply, 1 for a channel that
+    /// works. `None` before the first comparison.
     pub gain: Option<f64>,
-    /// Delay against the others (s). `None` before the first comparison.
+    /// Delay of the channel relative to the other channels (s), positive if the channel is later.
+    /// `None` before the first comparison.
     pub delay_s: Option<f64>,
-    /// Coherence with the others, 0 to 1. `None` before the first comparison.
+    /// Coherence of the channel with the other channels, 0 to 1. `None` before the first
+    /// comparison.
     pub coherence: Option<f64>,
 }
 

@@ -38,9 +38,9 @@ pub(crate) type Profile = [f64; BANDS];
 /// Mean and standard deviation of the profile of a sound channel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ProfileReference {
-    /// Mean of the logarithms.
+    /// Mean of the natural logarithms of the relative power in each band.
     pub mean: [f64; BANDS],
-    /// Standard deviation between records.
+    /// Standard deviation of the natural logarithms in each band, from record to record.
     pub std: [f64; BANDS],
 }
 

@@ -1,36 +1,37 @@
-//! What sound sensors have shown in earlier records.
+//! Behaviour of working sensors, learnt from earlier records.
 
 use crate::hypothesis::Expected;
 use crate::profile::{BANDS, ProfileReference};
 use serde::{Deserialize, Serialize};
 
-/// The mean relation of a channel to the others in one record.
+/// The mean relation of a channel to the other channels in one record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ObservedRelation {
-    /// Factor between the channel and the motion of the others, positive.
+    /// Ratio of the channel to the motion that the other channels imply, always positive.
     pub gain: f64,
-    /// Delay against the others (s).
+    /// Delay of the channel relative to the other channels (s), positive if the channel is later.
     pub delay_s: f64,
-    /// Logarithms of the power around the first natural frequency, relative to the median of the
-    /// channels. `None` if a channel was missing.
+    /// Natural logarithms of the power in bands around the first natural frequency, relative to the
+    /// median of the channels. `None` if a channel was missing.
     pub profile: Option<[f64; BANDS]>,
 }
 
-/// What a sound channel shows, learnt from records.
+/// Expected behaviour of a working channel relative to the other channels, learnt from records.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorReference {
     /// Name of the channel.
     pub channel: String,
-    /// Factor between the channel and the motion of the others, positive.
+    /// Ratio of the channel to the motion that the other channels imply, always positive.
     pub gain: f64,
-    /// Standard deviation of the logarithm of the factor between records.
+    /// Standard deviation of ln(gain) from record to record.
     pub ln_gain_std: f64,
-    /// Delay against the others (s).
+    /// Delay of the channel relative to the other channels (s), positive if the channel is later.
     pub delay_s: f64,
-    /// Standard deviation of the delay between records (s).
+    /// Standard deviation of the delay from record to record (s).
     pub delay_std_s: f64,
-    /// Profile around the first natural frequency. `None` in files without it.
+    /// Expected spectral profile around the first natural frequency. `None` in files without a
+    /// profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub profile: Option<ProfileReference>,
 }

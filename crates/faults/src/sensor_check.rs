@@ -54,7 +54,14 @@ const LOUD: f64 = 4.0;
 /// Painter Street: 5 to 7 % and 18 ms of 0.24 s (judging-real-structures).
 const SCATTER: (f64, f64) = (0.06, 0.05);
 
-/// The check of the channels of a structure.
+/// Checks all channels of a structure for faults, by comparing their motion.
+///
+/// [`SensorCheck::take`] takes one frame after the other and returns each change of a judgement. By
+/// default, the check expects the motion that the model predicts. [`SensorCheck::expect`] replaces
+/// this with references from records.
+///
+/// A channel without common motion with others is not checked, and its health is `None`.
+/// [`SensorCheck::state`] and [`SensorCheck::restore`] write and read a checkpoint.
 #[derive(Debug, Clone)]
 pub struct SensorCheck {
     groups: Vec<Group>,
@@ -317,11 +324,16 @@ impl SensorCheck {
         observed
     }
 
-    /// Learns what sound sensors show from several records, each as returned by
-    /// [`SensorCheck::observed`]. `names` contains the names of the channels of a frame.
+    /// Learns a reference for each channel from `records`, each as returned by
+    /// [`SensorCheck::observed`]. `names` contains the names of the channels in frame order.
     ///
-    /// The scatter between the records is combined with the usual scatter, which counts as half a
-    /// record.
+    /// The result omits channels that no record has observed. It is empty if there are no records.
+    ///
+    /// The scatter between the records is pooled with the usual scatter, which has the weight of
+    /// half a record.
+    ///
+    /// # Panics
+    /// Panics if `names` does not contain a name for an observed channel.
     #[must_use]
     pub fn learn(
         &self,
@@ -342,7 +354,8 @@ impl SensorCheck {
         learnt
     }
 
-    /// Expects what sound sensors have shown before, instead of the motion that the model predicts.
+    /// Replaces the expected behaviour of the channels, predicted by the model, with `references`.
+    /// `names` contains the names of the channels in frame order.
     pub fn expect(&mut self, names: &[&str], references: &[SensorReference]) {
         for group in &mut self.groups {
             let of_channels = group.expected.iter_mut().zip(&mut group.profiles);

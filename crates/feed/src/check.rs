@@ -32,10 +32,10 @@ pub struct CheckedSource {
     pub unmapped: BTreeMap<String, u64>,
 }
 
-/// What arrived on one channel of a source.
+/// Samples of one channel that arrived from a source during the check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckedChannel {
-    /// Name in the source.
+    /// Name of the channel in the source.
     pub label: String,
     /// Structure that the channel feeds.
     pub structure: String,
@@ -57,20 +57,20 @@ pub struct CheckedChannel {
     pub range: Option<(f64, f64)>,
 }
 
-/// What arrived of one condition of a source.
+/// Values of one condition that arrived from a source during the check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckedCondition {
-    /// Name in the source.
+    /// Name of the condition in the source.
     pub label: String,
-    /// Structure of the condition.
+    /// Name of the structure to which the condition belongs.
     pub structure: String,
     /// Name of the condition.
     pub name: String,
-    /// Unit.
+    /// Unit of the condition, as in condition messages.
     pub unit: &'static str,
-    /// Number of values.
+    /// Number of values that arrived.
     pub values: u64,
-    /// Last value, in the unit.
+    /// Last value received, in the unit of the condition. `None` if none has arrived.
     pub last: Option<f64>,
 }
 

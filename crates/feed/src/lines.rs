@@ -38,17 +38,17 @@ pub enum LineFormat {
         separator: char,
         /// Names of the columns, in the order of the cells.
         columns: Vec<String>,
-        /// Column of the time. `None` if the rows contain no time.
+        /// Column that contains the time. `None` if the rows contain no time.
         time: Option<TimeField>,
         /// Columns of the channels.
         fields: Vec<String>,
     },
 }
 
-/// The field or column of the time.
+/// The field or column that contains the time of a sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimeField {
-    /// Name.
+    /// Name of the field or column.
     pub name: String,
     /// Unit of a time that is a number. A text is a date and time in ISO 8601.
     pub unit: TimeUnit,

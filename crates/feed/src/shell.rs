@@ -34,7 +34,7 @@ use of_ingest::last_ns;
 pub(crate) const TICK: Duration = Duration::from_millis(50);
 /// Number of samples that a node keeps for readers that missed some, as `spandrel simulate` does.
 const SAMPLES_KEPT: u64 = 16_384;
-/// What happens when all sources have ended.
+/// Behaviour of the feed when all sources have ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenEnded {
     /// The feed stops.
@@ -43,7 +43,7 @@ pub enum WhenEnded {
     Wait,
 }
 
-/// What the feed needs to start.
+/// Start-up settings of the feed.
 #[derive(Clone, Debug)]
 pub struct FeedPlan {
     /// The instance. The time of its clock is the epoch of the nodes.
@@ -52,7 +52,7 @@ pub struct FeedPlan {
     pub structures: Vec<Monitored>,
     /// The sources.
     pub config: FeedConfig,
-    /// What happens when all sources have ended.
+    /// Behaviour of the feed when all sources have ended.
     pub when_ended: WhenEnded,
 }
 

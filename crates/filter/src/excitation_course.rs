@@ -32,7 +32,7 @@ const LEAST_SAMPLES: f64 = 200.0;
 /// Number of consecutive samples before the last one that `make_up` requires.
 const ENOUGH: u8 = 2;
 
-/// Statistics of past samples that describe the course of the known excitation (N_f each).
+/// Statistics of past samples that describe how the known excitation varies in time (N_f each).
 ///
 /// A step needs the second difference at its middle, but only the one at its older frame is known.
 /// The next sample yields the remainder, which is then added to the filtered state.
@@ -52,7 +52,7 @@ pub(crate) struct ExcitationCourse {
 }
 
 impl ExcitationCourse {
-    /// Creates the course of `inputs` components that act on `n` states.
+    /// Creates the statistics of `inputs` components that act on `n` states.
     pub(crate) fn new(n: usize, inputs: usize) -> Self {
         let zeros = || DVector::zeros(inputs);
         Self {
@@ -143,7 +143,7 @@ impl ExcitationCourse {
         self.unbroken.fill(0);
     }
 
-    /// Returns the course for a model of `n` states with the same excitation.
+    /// Returns the statistics for a model of `n` states with the same excitation.
     pub(crate) fn of_states(mut self, n: usize) -> Self {
         self.interrupt();
         self.input_matrix = DMatrix::zeros(n, self.input_matrix.ncols());

@@ -26,20 +26,22 @@ use workspace::Workspace;
 /// Samples of all channels at one time step.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
-    /// `z` (N_0, sensor units); NaN marks a missing channel.
+    /// Measured values `z`, one per observation channel (N_0, sensor units). NaN marks a missing
+    /// value.
     pub observations: &'a [f64],
-    /// The known part of the excitation (N_f): 0 for an unmeasured component, NaN for a missing
-    /// sample.
+    /// The known part of the excitation, one value per component (N_f). An unmeasured component has
+    /// 0, a missing sample NaN.
     pub excitation: &'a [f64],
 }
 
 /// Result of one step. The estimates themselves are available from the filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// `νᵀ S⁻¹ ν`. If the model is right, it follows χ² with [`Step::used_channels`] degrees of
-    /// freedom.
+    /// Normalised innovation squared: `νᵀ S⁻¹ ν`, with the innovation `ν` and its covariance `S`.
+    /// If the model is right, it follows χ² with [`Step::used_channels`] degrees of freedom.
     pub normalised_innovation_squared: f64,
-    /// `ln p(z | D)` of this frame.
+    /// Log evidence of the frame: `ln p(z | D)`, where `z` is the measurement of this frame and `D`
+    /// are the data before it.
     pub log_evidence: f64,
     /// Number of channels used in the update. With 0 channels, the step is a prediction only.
     pub used_channels: usize,
@@ -63,9 +65,16 @@ pub struct Step {
 
 /// A joint filter of state and parameters with fading memory and identified noise levels.
 ///
-/// Each call of [`ExtendedKalmanFilter::step`] is one time step. It does not allocate, and its
+/// Each call of [`ExtendedKalmanFilter::step`] is one time step. A step does not allocate, and its
 /// results are bit-identical for the same frames. The first frame updates the prior without a
-/// prediction, because the prior applies to the time of that frame.
+/// prediction, because the prior applies to the time of the first frame.
+///
+/// A diverged filter returns an error from `step`, and the caller must call
+/// [`ExtendedKalmanFilter::restart`]. [`ExtendedKalmanFilter::state`] and
+/// [`ExtendedKalmanFilter::restore`] write and read a checkpoint at any frame.
+///
+/// The filter represents the state by a mean and a covariance. For distributions without a Gaussian
+/// shape, [`ParticleFilter`](crate::ParticleFilter) is available at a much higher cost.
 #[derive(Debug, Clone)]
 pub struct ExtendedKalmanFilter<M> {
     model: M,

@@ -15,7 +15,7 @@
 //! - [`compression`]: reduced forms of the state and covariance of a node
 //! - [`samples`]: exchange of a few samples between nodes
 //! - [`local`]: the filter of a node, and its use of feedback
-//! - [`mean_limits`]: limits of the parameter means of a sound filter
+//! - [`mean_limits`]: limits of the parameter means of a working filter
 //! - [`station`]: fusion of the received estimates on the station's clock
 //! - [`detector`]: detection of faulty nodes
 //!

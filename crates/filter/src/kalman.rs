@@ -84,7 +84,7 @@ impl LinearModel {
 /// Result of one update of a [`KalmanFilter`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KalmanStep {
-    /// `νᵀ S⁻¹ ν`.
+    /// Normalised innovation squared: `νᵀ S⁻¹ ν`, with the innovation `ν` and its covariance `S`.
     pub normalised_innovation_squared: f64,
     /// `ln p(z | D)`.
     pub log_evidence: f64,

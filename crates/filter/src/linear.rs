@@ -408,19 +408,23 @@ impl ModalModel {
         })
     }
 
-    /// Returns the mode shapes `Φ` (N_d × N_d), in ascending order of frequency.
+    /// Returns the mode shapes `Φ` as columns, in ascending order of frequency (N_d × N_d, N_d =
+    /// number of free degrees of freedom).
     #[must_use]
     pub fn shapes(&self) -> &DMatrix<f64> {
         &self.shapes
     }
 
-    /// Returns `ω` (N_d, rad/s), ascending.
+    /// Returns the natural angular frequencies `ω` of the undamped modes, in ascending order
+    /// (rad/s; length N_d, the number of free degrees of freedom). A mode without stiffness has 0.
     #[must_use]
     pub fn angular_frequencies(&self) -> DVector<f64> {
         self.stiffness.map(f64::sqrt)
     }
 
-    /// Returns `ζ` (N_d), which is infinite or NaN for a mode without stiffness.
+    /// Returns the damping ratios `ζ` of the modes, in ascending order of frequency (length N_d,
+    /// the number of free degrees of freedom). The ratio is infinite or NaN for a mode without
+    /// stiffness.
     #[must_use]
     pub fn damping_ratios(&self) -> DVector<f64> {
         self.damping.zip_map(&self.stiffness, |damping, square| {
@@ -428,13 +432,15 @@ impl ModalModel {
         })
     }
 
-    /// Returns the matrix that maps `[q, q̇]` to `[x, ẋ]` (2 N_d × 2 N_d).
+    /// Returns the matrix that maps modal coordinates and velocities `[q, q̇]` to displacements and
+    /// velocities `[x, ẋ]`. It has 2 N_d × 2 N_d elements for N_d free degrees of freedom.
     #[must_use]
     pub fn physical_from_modal(&self) -> DMatrix<f64> {
         twice(&self.shapes)
     }
 
-    /// Returns the matrix that maps `[x, ẋ]` to `[q, q̇]` (2 N_d × 2 N_d).
+    /// Returns the matrix that maps displacements and velocities `[x, ẋ]` to modal coordinates and
+    /// velocities `[q, q̇]`. It has 2 N_d × 2 N_d elements for N_d free degrees of freedom.
     #[must_use]
     pub fn modal_from_physical(&self) -> DMatrix<f64> {
         twice(&self.inverse_shapes)

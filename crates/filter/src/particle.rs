@@ -83,7 +83,8 @@ pub struct ParticleStep {
     ///
     /// It is about the number of used channels while the particles follow the data.
     pub normalised_innovation_squared: f64,
-    /// `N_eff = 1/Σ W²` after this frame.
+    /// Effective sample size after this frame: `N_eff = 1/Σ W²` with the weights `W`, from 1 to the
+    /// number of particles.
     pub effective_size: f64,
     /// Standard deviation of the weights over their mean after this frame.
     pub coefficient_of_variation: f64,
@@ -132,8 +133,15 @@ enum Purpose {
 
 /// A particle filter of one model.
 ///
+/// The filter assumes neither linearity nor a Gaussian shape, but each step costs one integration
+/// of the model per particle. Where an extended Kalman filter is adequate, it is hundreds of times
+/// cheaper.
+///
 /// One call of [`ParticleFilter::step`] is one time step. With one thread, a step does not
-/// allocate. Results are bit-identical for any number of threads.
+/// allocate. Results are bit-identical for any number of threads and after a restored checkpoint.
+///
+/// If no particle has any weight, `step` returns an error. The caller must then call
+/// [`ParticleFilter::restart`] or [`ParticleFilter::restart_from`].
 #[derive(Debug, Clone)]
 pub struct ParticleFilter<M> {
     settings: ParticleSettings,

@@ -34,7 +34,7 @@ pub enum CovarianceForm {
 /// The evidence of one update.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Evidence {
-    /// `νᵀ S⁻¹ ν`.
+    /// Normalised innovation squared: `νᵀ S⁻¹ ν`, with the innovation `ν` and its covariance `S`.
     pub normalised_innovation_squared: f64,
     /// `ln p(z | D)`.
     pub log_evidence: f64,

@@ -5,7 +5,7 @@ use spandrel_checkpoint::CheckpointError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
-/// An error of the fusion service.
+/// An error that prevents the fusion service from starting or continuing.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FuseError {
@@ -14,13 +14,13 @@ pub enum FuseError {
         "structure {structure} is not identified by its nodes; see identification = \"distributed\""
     )]
     NotDistributed {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
     },
     /// The station rejected its settings.
     #[error("cannot create the station of structure {structure}")]
     Station {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// The cause.
         source: FilterError,
@@ -28,7 +28,7 @@ pub enum FuseError {
     /// A name cannot be part of a key expression.
     #[error("a name in structure {structure} is not a valid key")]
     Name {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// The cause.
         source: NameError,

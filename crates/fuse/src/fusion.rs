@@ -32,7 +32,7 @@ const FIRST_MESSAGE_AT: f64 = 0.5;
 /// estimates have not aged by the whole step.
 const LONGEST_LOOK: f64 = 3.0;
 
-/// Inputs of the core.
+/// An input of [`Fusion`], the logic of a station without I/O.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FusionInput {
     /// A message from a node.
@@ -46,14 +46,14 @@ pub enum FusionInput {
         /// Arrival time by the station's clock, in ns since the Unix epoch.
         arrived_ns: i64,
     },
-    /// Which nodes are present, by index. The core does not wait for absent nodes that replay a
-    /// record.
+    /// Which nodes are present, by index in the structure file. The station does not wait for
+    /// absent nodes that replay a record.
     Present(Vec<bool>),
     /// Time of the station's clock, in ns since the Unix epoch.
     Tick(i64),
 }
 
-/// Outputs of the core.
+/// An output of [`Fusion`], the logic of a station without I/O.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Output {
     /// Fused estimates, one block per fusion.
@@ -70,7 +70,13 @@ pub enum Output {
     Event(Event),
 }
 
-/// The fusion of one structure.
+/// The fusion of the nodes of one structure, without a clock or network.
+///
+/// [`Fusion::handle`] takes messages of the nodes and readings of the clock. It appends fused
+/// estimates, feedback to the nodes, and events.
+///
+/// While any live node has not ended, fusions follow the clock of the station, so that no node can
+/// block the others. With replaying nodes only, a fusion waits for all of them that are present.
 #[derive(Debug)]
 pub struct Fusion {
     structure: Name,

@@ -36,13 +36,13 @@ const LAST_MESSAGES_IN_ALL: Duration = Duration::from_secs(1);
 /// Capacity of the queue for node messages. When it is full, the oldest message is dropped.
 const MESSAGES_WAITING: usize = 1024;
 
-/// What the fusion of one structure needs to start.
+/// Start-up settings of the fusion service of one structure.
 #[derive(Clone, Debug)]
 pub struct FusePlan {
-    /// The instance. Its clock sets the epoch of the estimates, so it must show a later time at
-    /// each start.
+    /// Session, id and clock of the service. The clock sets the epoch of the estimates, so it must
+    /// show a later time at each start.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure whose nodes are fused.
     pub monitored: Monitored,
 }
 

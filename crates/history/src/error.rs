@@ -9,7 +9,7 @@ use std::path::PathBuf;
 const SQLITE_CORRUPT: u32 = 11;
 const SQLITE_NOTADB: u32 = 26;
 
-/// An error of the history service.
+/// An error that prevents the history service from starting, or from storing or reading values.
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
     /// The address of the database is not supported.

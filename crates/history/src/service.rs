@@ -57,16 +57,16 @@ const RETRY_AFTER: (Duration, Duration) = (Duration::from_millis(500), Duration:
 /// Time limit for writing the last values after a stop.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// What the history needs to start.
+/// Start-up settings of the history service.
 #[derive(Clone, Debug)]
 pub struct HistoryPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structures.
+    /// The structures whose values are stored.
     pub structures: Vec<Monitored>,
     /// The database.
     pub address: Address,
-    /// How long values are stored.
+    /// Retention time of each resolution.
     pub keep: Keep,
 }
 

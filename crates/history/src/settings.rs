@@ -9,19 +9,26 @@ use std::path::{Path, PathBuf};
 
 const DAY_S: u64 = 86_400;
 
-/// Retention time of each resolution, in s of measurement time. `None` means no limit.
+/// Retention time of each resolution, in s of measurement time.
+///
+/// `None` means no limit. By default, display values are kept for an hour, minutes for 92 days and
+/// hours for five years. Days and the log are kept without limit.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct Keep {
-    /// Display values.
+    /// Retention of display values (s of measurement time). `None` keeps them without limit.
     pub display_s: Option<u64>,
-    /// Values aggregated per minute.
+    /// Retention of values aggregated per minute (s of measurement time). `None` keeps them without
+    /// limit.
     pub minute_s: Option<u64>,
-    /// Values aggregated per hour.
+    /// Retention of values aggregated per hour (s of measurement time). `None` keeps them without
+    /// limit.
     pub hour_s: Option<u64>,
-    /// Values aggregated per day.
+    /// Retention of values aggregated per day (s of measurement time). `None` keeps them without
+    /// limit.
     pub day_s: Option<u64>,
-    /// Alerts, acknowledgements and events.
+    /// Retention of alerts, acknowledgements and events (s of measurement time). `None` keeps them
+    /// without limit.
     pub log_s: Option<u64>,
 }
 

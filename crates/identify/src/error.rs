@@ -6,14 +6,14 @@ use spandrel_earthquake::EarthquakeError;
 use spandrel_filter::FilterError;
 use thiserror::Error;
 
-/// An error of the identification service.
+/// An error that prevents the identification service from starting or continuing.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum IdentifyError {
     /// The filter rejected its settings.
     #[error("cannot create the filter of structure {structure}")]
     Filter {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// The cause.
         source: FilterError,
@@ -21,7 +21,7 @@ pub enum IdentifyError {
     /// Strong motion cannot be told from weak motion.
     #[error("cannot find strong motion of structure {structure}")]
     Earthquakes {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// The cause.
         source: EarthquakeError,
@@ -31,13 +31,13 @@ pub enum IdentifyError {
         "structure {structure} has no such node with its own identification; see identification = \"distributed\""
     )]
     NotDistributed {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
     },
     /// A name cannot be part of a key expression.
     #[error("a name in structure {structure} is not a valid key")]
     Name {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// The cause.
         source: NameError,
@@ -48,7 +48,7 @@ pub enum IdentifyError {
          most {most} to be transferred; omit --standby"
     )]
     StateTooLarge {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// Size of the message with the state, in bytes.
         bytes: usize,
@@ -64,7 +64,7 @@ pub enum IdentifyError {
     /// The thread that ran a filter panicked, and the filter was lost with it.
     #[error("filter thread of structure {structure} panicked")]
     ThreadLost {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
     },
 }

@@ -8,7 +8,11 @@ use spandrel_filter::{
 };
 use spandrel_structure::{Structure, StructureClasses, StructureModel};
 
-/// The estimator of one structure, with the parameters of its file.
+/// The estimator of one structure: one filter, a bank of filters, or particles.
+///
+/// [`Estimator::new`] chooses the variant from the structure file, with all filters at their prior.
+/// All variants have the same methods. With several model classes, most methods return the estimate
+/// of the most plausible class or of all classes, as each method states.
 #[derive(Debug)]
 pub enum Estimator {
     /// One model with all parameters of the file.

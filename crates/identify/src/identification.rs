@@ -56,7 +56,7 @@ const MOST_BYTES: usize = 1 << 20;
 /// Factor by which display values are thinned under high load.
 const THINNED: u32 = 10;
 
-/// Name for displaying the effective number of particles, next to the noise levels.
+/// Name for displaying the effective sample size of the particles, next to the noise levels.
 const EFFECTIVE_PARTICLES: &str = "effective-particles";
 
 pub use state::IdentificationState;
@@ -114,7 +114,15 @@ pub enum Output {
     Event(Event),
 }
 
-/// The identification of one structure: estimator, declared band limit and displays.
+/// The identification of one structure, without a clock or network: frames in, estimates and events
+/// out.
+///
+/// [`Identification::handle`] filters the frames by the declared band limit, checks the sensors and
+/// steps the estimator. A diverged estimator is restarted from its prior and reported as an event.
+///
+/// [`Identification::new`] uses the estimator of the structure file,
+/// [`Identification::with_estimator`] any other one. [`Identification::state`] and
+/// [`Identification::restore`] write and read a checkpoint.
 #[derive(Debug)]
 pub struct Identification {
     structure: Name,
@@ -128,7 +136,7 @@ pub struct Identification {
     mean_excitation: Vec<f64>,
     parameter_names: Vec<Name>,
     noise_names: Vec<Name>,
-    /// Display name of the effective number of particles. `None` without particles.
+    /// Display name of the effective sample size of the particles. `None` without particles.
     effective_name: Option<Name>,
     responses: Vec<EstimatedResponse>,
     /// Responses of the frames being processed.
@@ -407,7 +415,10 @@ impl Identification {
         &self.estimator
     }
 
-    /// Returns the display of the model classes at a measurement time. `None` with a single model.
+    /// Returns the message with the present plausibilities of the model classes, or `None` with a
+    /// single model.
+    ///
+    /// `time_ns` is the measurement time that the message states (ns since the Unix epoch, UTC).
     #[must_use]
     pub fn class_display(&self, time_ns: i64) -> Option<ModelClassDisplay> {
         let (bank, view) = (self.estimator.classes()?, self.classes.as_ref()?);
@@ -436,13 +447,15 @@ impl Identification {
         self.screening.iter().map(ScreeningView::channel)
     }
 
-    /// Returns the display names of the noise levels and of the effective number of particles.
+    /// Returns the display names of the noise levels and of the effective sample size of the
+    /// particles.
     pub fn displayed_noise_names(&self) -> impl Iterator<Item = &Name> {
         self.noise_names.iter().chain(&self.effective_name)
     }
 
-    /// Returns `true` while the particles have lost the state. Their estimates then support no
-    /// alerts.
+    /// Returns `true` while the particle filter has diverged. Its estimates then support no alerts.
+    ///
+    /// Returns `false` for all other filters.
     #[must_use]
     pub fn has_lost_state(&self) -> bool {
         match &self.estimator {

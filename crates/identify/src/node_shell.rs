@@ -36,7 +36,7 @@ const ANSWERS_WAITING: usize = 4;
 /// Processes one input on a thread of the pool, as [`NodeIdentification::handle`] does.
 type ProcessNodeInput = fn(&mut NodeIdentification, NodeInput, &mut Vec<NodeOutput>);
 
-/// What the worker of one sensor node needs to start.
+/// Start-up settings of the worker of one sensor node.
 #[derive(Clone, Debug)]
 pub struct NodeServicePlan {
     /// The session.

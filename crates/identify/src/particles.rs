@@ -11,22 +11,22 @@ use spandrel_structure::{ParticleKeys, Structure, StructureModel};
 /// Memory of [`Health`] (s). With 50 frames per second it can distinguish 1 from 2, and it is short
 /// enough to stop an alert.
 const MEMORY_S: f64 = 5.0;
-/// Mean normalised innovation squared per channel above which the particles have lost the state.
-/// Their predictions are then wrong by twice their stated deviation.
+/// Mean normalised innovation squared per channel above which the particles have diverged. Their
+/// predictions are then wrong by twice their stated deviation.
 const LOST_MISFIT: f64 = 4.0;
-/// The same mean below which the particles follow the state again.
+/// The same mean below which the particles follow the data again.
 const FOUND_MISFIT: f64 = 2.0;
 /// Maximum contribution of one frame. A loss still shows within about a second, and a single
 /// implausible frame fades within a few.
 const MOST_MISFIT: f64 = 4.0 * LOST_MISFIT;
-/// Mean effective share of the particles below which they have lost the state, because hardly any
+/// Mean relative effective sample size below which the particles have diverged, because hardly any
 /// of them explains a frame.
 const LOST_SHARE: f64 = 0.02;
-/// The same share above which the particles follow the state again. A working filter has about a
+/// The same size above which the particles follow the data again. A working filter has about a
 /// third.
 const FOUND_SHARE: f64 = 0.05;
 
-/// Duration of a lost state (s) after which the particles are drawn from the prior again. A wrong
+/// Duration of a divergence (s) after which the particles are drawn from the prior again. A wrong
 /// motion does not recover by itself.
 const RESTART_AFTER_S: f64 = 30.0;
 
@@ -72,17 +72,20 @@ impl ParticlePlan {
     }
 }
 
-/// Whether the particles follow the data, with exponential memory.
+/// How well the particles follow the data, as exponentially weighted means over about 5 s.
+///
+/// The particles have diverged if hardly any of them explains a frame, or if their predictions are
+/// wrong by much more than they state.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Health {
-    /// Mean effective share of the particles.
+    /// Mean relative effective sample size of the particles.
     share: f64,
     /// Mean normalised innovation squared per channel.
     misfit: f64,
     /// Number of frames with a channel since the particles were drawn.
     frames: u64,
-    /// Number of frames with a channel since the particles lost the state. `None` while they follow
-    /// it.
+    /// Number of frames with a channel since the particles diverged. `None` while they follow the
+    /// data.
     lost: Option<u64>,
 }
 
@@ -94,21 +97,21 @@ impl Health {
         lost: None,
     };
 
-    /// Returns the mean effective share of the particles, 0 to 1.
+    /// Returns the mean relative effective sample size, 0 to 1: the effective sample size divided
+    /// by the number of particles.
     #[must_use]
     pub fn effective_share(&self) -> f64 {
         self.share
     }
 
-    /// Returns the mean normalised innovation squared per channel, 1 while the particles follow the
-    /// data.
+    /// Returns the mean normalised innovation squared per channel, about 1 while the particles
+    /// follow the data and larger if they do not.
     #[must_use]
     pub fn misfit(&self) -> f64 {
         self.misfit
     }
 
-    /// Returns `true` while the particles have lost the state. Their estimates are then
-    /// meaningless.
+    /// Returns `true` while the particles have diverged. Their estimates are then meaningless.
     #[must_use]
     pub fn is_lost(&self) -> bool {
         self.lost.is_some()
@@ -146,7 +149,7 @@ pub struct Particles {
     mean: DVector<f64>,
     /// Covariance of the state of the particles.
     covariance: DMatrix<f64>,
-    /// Sum of the effective sizes as shares of all particles, and the number of terms.
+    /// Sum of the relative effective sample sizes, and the number of terms.
     effective: (f64, u64),
     health: Health,
     /// Memory of `health`, in frames.
@@ -240,22 +243,24 @@ impl Particles {
         Ok(())
     }
 
-    /// Returns the mean effective share of the particles before resampling. `None` before their
-    /// first step.
+    /// Returns the relative effective sample size before resampling, as the mean over all steps of
+    /// the particles so far. `None` before the first step.
+    ///
+    /// It is the effective sample size divided by the number of particles (0 to 1).
     #[must_use]
     pub fn effective_share(&self) -> Option<f64> {
         let (sum, count) = self.effective;
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Returns whether the particles follow the data. `None` while the Kalman filter warms up.
+    /// Returns how well the particles follow the data. `None` while the Kalman filter warms up.
     #[must_use]
     pub fn health(&self) -> Option<Health> {
         (self.health.frames > 0).then_some(self.health)
     }
 
-    /// Returns `true` if the state has been lost for so long that the particles must be drawn from
-    /// the prior again.
+    /// Returns `true` if the particles have diverged for so long that they must be drawn from the
+    /// prior again.
     pub(crate) fn are_beyond_recovery(&self) -> bool {
         self.health
             .lost

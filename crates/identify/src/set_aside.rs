@@ -7,10 +7,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// the last.
 pub(crate) type Span = (u64, u64, u64);
 
-/// Samples that caused a worker to panic, shared between its runs in one process. They count as
-/// missing.
+/// Samples that caused a worker to panic, shared between the runs of the worker in one process.
 ///
-/// A whole piece of samples is skipped. It is short, and the filter bridges it by predictions.
+/// After a panic, every sample of the block that the worker was processing counts as missing. The
+/// block is short, and the filter bridges it by predictions.
 #[derive(Debug, Clone, Default)]
 pub struct SetAside {
     spans: Arc<Mutex<Vec<Span>>>,

@@ -43,22 +43,28 @@ const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 type ProcessInput =
     fn(&mut Identification, IdentificationInput, &mut Vec<Output>) -> Option<IdentificationInput>;
 
-/// What the identification of one structure needs to start.
+/// Start-up settings of the identification service of one structure.
 #[derive(Clone, Debug)]
 pub struct IdentifyPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure to identify.
     pub monitored: Monitored,
     /// The threads of the filters.
     pub pool: FilterPool,
     /// Whether the instance leads or stands by.
     pub precedence: Precedence,
-    /// What the sensors have shown in the records of the baseline. Empty without a baseline.
+    /// Reference behaviour of the sensors in the records of the baseline. Empty without a baseline.
     pub sensors: Vec<SensorReference>,
 }
 
-/// The identification service of one structure.
+/// The identification service of one structure: it reads frames from the bus, and publishes
+/// estimates and events.
+///
+/// Several instances can identify the same structure. One of them leads and the others stand by.
+/// The service resumes from its last checkpoint or from the state of the leader.
+///
+/// On a stop, frames that have arrived are still processed, within one second.
 #[derive(Debug)]
 pub struct IdentifyService {
     /// `None` while joining, and while a pool thread uses it. It is lost if that thread panics.

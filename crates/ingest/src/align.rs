@@ -106,7 +106,14 @@ impl NodePlace {
     }
 }
 
-/// The alignment of one structure.
+/// Builds the frames of one structure from the samples of its nodes.
+///
+/// [`Alignment::handle`] takes the inputs and appends complete blocks of frames. A frame closes
+/// when no node can still contribute to it, or when a deadline has passed. Without deadlines, the
+/// frames do not depend on the order in which blocks of different nodes arrive.
+///
+/// A closed frame has a missing value for each sample that has not arrived. Late samples are
+/// dropped and counted. The alignment has no clock: the caller passes the deadlines.
 #[derive(Debug)]
 pub struct Alignment {
     layout: Layout,

@@ -30,7 +30,7 @@ const RECOUNT_NS: i64 = 500_000_000;
 /// Span for which clocks must disagree without a majority before that is reported.
 const TIED_FOR: Duration = Duration::from_secs(3);
 
-/// What the vote says about the clock of a node.
+/// Result of the vote on the clock of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockVerdict {
     /// The clock agrees with the majority, or nothing contradicts it.
@@ -48,7 +48,10 @@ pub enum ClockVerdict {
     },
 }
 
-/// The votes of the nodes of a structure. The passage of time is an argument.
+/// Majority vote of the nodes of a structure on the correct time.
+///
+/// It finds nodes whose clock differs from the clock of the majority. It reads no clock: callers
+/// pass the monotonic time of each call.
 #[derive(Debug)]
 pub struct ClockVote {
     limit_ns: i64,

@@ -5,7 +5,7 @@ use spandrel_record::RecordError;
 
 use crate::layout::LayoutError;
 
-/// An error of ingest.
+/// An error that prevents ingest from starting or continuing.
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
     /// The structure has no valid frame layout.

@@ -62,12 +62,12 @@ pub enum FrameWait {
     Limited(Duration),
 }
 
-/// What ingest needs to start.
+/// Start-up settings of the ingest service of one structure.
 #[derive(Clone, Debug)]
 pub struct IngestPlan {
-    /// The instance. The time of its clock is the epoch of the first run.
+    /// Session, id and clock of the service. The time of the clock is the epoch of the first run.
     pub instance: ServiceInstance,
-    /// The structure.
+    /// The structure whose samples are aligned to frames.
     pub monitored: Monitored,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
     /// new epoch.
@@ -95,7 +95,11 @@ enum Sign {
     Lost,
 }
 
-/// The ingest service of one structure.
+/// The ingest service of one structure: it aligns the samples of all nodes to frames, and publishes
+/// and records the frames.
+///
+/// The service starts with an [`IngestPlan`] and runs until it is stopped. Samples that have
+/// arrived by then are still aligned. Without a recording, every start begins a new epoch.
 #[derive(Debug)]
 pub struct IngestService {
     core: Alignment,

@@ -29,26 +29,26 @@ const CREDIBILITY: f64 = 0.9;
 /// Losses of stiffness whose delay is reported.
 pub(crate) const LOSSES: [f64; 6] = [0.01, 0.02, 0.03, 0.05, 0.10, 0.20];
 
-/// What the detector of a quantity achieves.
+/// Performance of the detector of a quantity: false alarms and detection delays.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Performance {
     /// False alarms per year that this quantity may raise.
     pub promised_per_year: f64,
-    /// False alarms per year in 1000 years that are drawn from the commissioning.
+    /// False alarms per year, in 1000 simulated years that are drawn from the commissioning.
     pub achieved_per_year: f64,
-    /// Delay of losses of several sizes.
+    /// Detection delays of losses of stiffness, one for each size of loss.
     pub delays: Vec<Delay>,
 }
 
-/// Delay of a loss.
+/// Time from a loss of stiffness of one size to its detection.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Delay {
-    /// Loss of stiffness, as a share.
+    /// Size of the loss, as a share of the stiffness (0 to 1).
     pub loss: f64,
-    /// Median of the days from the loss to the alarm, or `None` if fewer than half of the losses
+    /// Median time from the loss to the alarm (days), or `None` if fewer than half of the losses
     /// are found within 305 days.
     pub median_days: Option<u32>,
-    /// Share of the losses that are found within 30 days.
+    /// Share of the simulated losses that are found within 30 days, 0 to 1.
     pub found_in_a_month: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The course of one quantity: commissioning, then one decision per day.
+//! The history of one quantity: commissioning, then one decision per day.
 
 use crate::cusum;
 use crate::day::{Day, DayEpochs};
@@ -51,7 +51,7 @@ struct Judging {
     previous: Day,
 }
 
-/// What all courses of a structure share.
+/// What the histories of all quantities of a structure share.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Frame<'s> {
     pub(crate) settings: &'s Settings,

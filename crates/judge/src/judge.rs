@@ -24,8 +24,13 @@ pub struct NewReference {
 
 /// Judges the quantities of one structure.
 ///
-/// It has no clock: a day ends with the first epoch of a later day, or with [`Judge::finish`]. It
-/// can be serialised at any point. The restored state gives the same judgements, bit for bit.
+/// [`Judge::handle`] takes epochs in order of time and adds one judgement per quantity and day.
+/// Each quantity first learns a reference in its commissioning. Until then, its judgements state
+/// that the reference is being learnt. [`Judge::start_anew`] starts a new reference.
+///
+/// The judge has no clock: a day ends with the first epoch of a later day, or with
+/// [`Judge::finish`]. The judge can be serialised at any point. The restored state gives the same
+/// judgements, bit for bit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Judge {
     settings: Settings,

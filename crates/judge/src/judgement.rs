@@ -22,12 +22,12 @@ pub enum State {
     Judged,
     /// The conditions are new: the interval says nothing, and the day is not judged.
     OutsideExperience {
-        /// Why they are new.
+        /// Reason why the conditions are outside experience.
         novelty: Novelty,
     },
     /// The day has no value of the quantity, or not all conditions.
     NoStatement {
-        /// Why.
+        /// Reason why the day has no statement.
         why: Absence,
     },
 }
@@ -46,7 +46,7 @@ impl State {
     }
 }
 
-/// Why conditions are outside experience.
+/// Reason why conditions are outside experience.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Novelty {
@@ -56,7 +56,7 @@ pub enum Novelty {
     Extrapolation,
 }
 
-/// Why a day has no statement.
+/// Reason why a day has no statement.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Absence {
@@ -99,7 +99,7 @@ impl Finding {
         }
     }
 
-    /// Returns the change.
+    /// Returns the size of the lasting change, and the days on which it began and was found.
     #[must_use]
     pub fn change(&self) -> &Change {
         match self {
@@ -111,13 +111,14 @@ impl Finding {
 /// Size of a lasting change of the stiffness.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Change {
-    /// Day on which it was found (days since 1970-01-01 UTC).
+    /// Day on which the change was found (days since 1970-01-01 UTC).
     pub found_day: i64,
-    /// Most credible first day.
+    /// Most credible first day of the change (days since 1970-01-01 UTC).
     pub since_day: i64,
     /// Loss of stiffness as a share; negative for a gain.
     pub loss: f64,
-    /// 95 % interval of the loss.
+    /// 95 % interval of the loss, `[low, high]`, as shares of the stiffness. Negative values are a
+    /// gain.
     pub interval: [f64; 2],
 }
 
@@ -128,13 +129,13 @@ pub struct Expectation {
     pub measured: f64,
     /// Expected value under the conditions, in the unit of the quantity.
     pub expected: f64,
-    /// 95 % interval of the day.
+    /// 95 % interval of the expected value of the day, `[low, high]`, in the unit of the quantity.
     pub interval: [f64; 2],
     /// Whitened residual, in standard deviations.
     pub residual: f64,
-    /// ln of the evidence of a loss, and the threshold.
+    /// Natural logarithm of the evidence of a loss.
     pub ln_evidence: f64,
-    /// ln of the threshold.
+    /// Natural logarithm of the threshold of the evidence.
     pub ln_threshold: f64,
     /// CUSUM of the cross-check divided by its threshold.
     pub cusum_share: f64,

@@ -49,7 +49,7 @@
 //! Logic:
 //!
 //! - `reference`: what the commissioning has taught, or what is missing
-//! - `course`: one quantity, day by day
+//! - `course`: the history of one quantity, day by day
 //! - [`Judge`]: the state machine of a structure, without clock, log or I/O
 //!
 //! # Notation

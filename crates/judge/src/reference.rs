@@ -25,7 +25,7 @@ const FIRST_DAY: usize = 30;
 const ORIGIN_DISTANCE: usize = 7;
 /// Number of days as cold as today that must have been learnt before a frost is judged.
 ///
-/// The hinge is a simplification. A frost may have another course than its first day.
+/// The hinge is a simplification. A frost may develop differently after its first day.
 pub(crate) const FROST_DAYS: usize = 5;
 /// Depth of frost (°C, mean over a day) below which a day counts as free of frost.
 const FROST_DEPTH: f64 = 0.05;
@@ -57,7 +57,7 @@ pub(crate) struct Reference {
     pub(crate) performance: Performance,
 }
 
-/// What is missing in a commissioning.
+/// Reason why a commissioning does not yet give a reference.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Missing {
@@ -377,7 +377,7 @@ fn has_frost(columns: &Columns, days: &[Day], knot: usize) -> bool {
     days.iter().filter(frosty).count() >= FROST_DAYS
 }
 
-/// What the conditions of a day and the days before it let expect.
+/// Prediction of a day from its conditions and the days before it.
 pub(crate) struct Expected {
     /// ln(value), relative to the mean of the commissioning.
     pub(crate) value: f64,

@@ -6,31 +6,32 @@ use crate::judgement::Finding;
 use crate::reference::Missing;
 use serde::{Deserialize, Serialize};
 
-/// Report of one quantity.
+/// State of the judgement of one quantity: its reference, or what it lacks, and its finding.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct QuantityReport {
     /// Name of the quantity.
     pub quantity: String,
-    /// Reference, if it has been learnt.
+    /// Summary of the reference. `None` until the reference has been learnt.
     pub reference: Option<ReferenceReport>,
-    /// What the last attempt to learn it missed.
+    /// What the commissioning lacked at the last attempt to learn the reference. `None` if the
+    /// reference has been learnt or before the first attempt.
     pub missing: Option<Missing>,
-    /// Finding that holds.
+    /// Lasting change that has been found and still holds. `None` without a lasting change.
     pub finding: Option<Finding>,
 }
 
-/// Report of a reference.
+/// Summary of the reference of one quantity: its commissioning, model and expected performance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ReferenceReport {
-    /// First and last day of the commissioning (days since 1970-01-01 UTC).
+    /// First day of the commissioning (days since 1970-01-01 UTC).
     pub from_day: i64,
-    /// Last day of the commissioning.
+    /// Last day of the commissioning (days since 1970-01-01 UTC).
     pub to_day: i64,
-    /// Coverage of the 95 % interval over the weeks of the commissioning.
+    /// Share of the days of the commissioning within their 95 % interval, 0 to 1.
     pub coverage: f64,
-    /// Standard deviation of a day under known conditions, as a share of the value.
+    /// Standard deviation of the daily value under known conditions, as a share of the value.
     pub scatter: f64,
-    /// Correlation of two successive days.
+    /// Correlation of the residuals of two successive days, −1 to 1.
     pub correlation: f64,
     /// T0 of the frost hinge (°C), if a condition is a temperature.
     pub frost_knot: Option<f64>,
@@ -39,9 +40,9 @@ pub struct ReferenceReport {
     pub knows_frost: Option<bool>,
     /// Coefficients: at zero, per unit of each condition, and per degree of frost.
     pub coefficients: Vec<f64>,
-    /// ln of the threshold of the detector.
+    /// Natural logarithm of the threshold of the detector.
     pub ln_threshold: f64,
-    /// Promised and achieved rate, and delays.
+    /// Promised and achieved rate of false alarms, and detection delays.
     pub performance: Performance,
 }
 

@@ -27,9 +27,9 @@ impl QuantityKind {
 /// A judged quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Quantity {
-    /// Name, unique within the structure.
+    /// Name of the quantity or condition, unique within the structure.
     pub name: String,
-    /// What it measures.
+    /// What the quantity measures: a natural frequency or a stiffness.
     pub kind: QuantityKind,
 }
 
@@ -151,13 +151,17 @@ fn advice(kind: ConditionKind) -> String {
 /// A condition: a measured covariate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
-    /// Name, unique within the structure.
+    /// Name of the quantity or condition, unique within the structure.
     pub name: String,
-    /// What it measures.
+    /// What the condition measures, and in which unit its values arrive.
     pub kind: ConditionKind,
 }
 
-/// Settings of a judged structure.
+/// Settings of the judgement of one structure.
+///
+/// [`Judge::new`](crate::Judge::new) checks that all settings are in range. The constants of this
+/// type are the usual defaults: 0.1 false alarms per year, a loss of 2 % and a commissioning of 365
+/// days. A smaller budget of false alarms delays the detection of a loss.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Budget: expected number of false alarms per year, for all quantities together.
@@ -170,7 +174,8 @@ pub struct Settings {
     pub season: Season,
     /// Judged quantities, at least one.
     pub quantities: Vec<Quantity>,
-    /// Conditions, at most [`Settings::MOST_CONDITIONS`].
+    /// Conditions, such as temperatures, whose effect on the quantities is removed. At most
+    /// [`Settings::MOST_CONDITIONS`].
     pub conditions: Vec<Condition>,
 }
 
@@ -187,13 +192,13 @@ pub enum Season {
 impl Settings {
     /// Default of the budget (false alarms per year and structure).
     pub const FALSE_ALARMS_PER_YEAR: f64 = 0.1;
-    /// Default of the loss of stiffness that matters.
+    /// Default of the loss of stiffness that matters, as a share (2 %).
     pub const LOSS: f64 = 0.02;
     /// Default length of the commissioning (days): all seasons.
     pub const COMMISSIONING_DAYS: u32 = 365;
     /// Shortest and longest commissioning (days).
     pub const COMMISSIONING_RANGE: (u32, u32) = (20, 400);
-    /// Largest number of conditions, which limits the size of the state.
+    /// Maximum number of conditions, which limits the size of the state.
     pub const MOST_CONDITIONS: usize = 3;
 
     /// Checks the ranges.

@@ -83,9 +83,12 @@ impl AnnotationLog {
     }
 }
 
-/// Reads the annotations of a file, each on its line, as the service judge writes them.
+/// Parses annotations, one JSON message per line, as the service `judge` writes them.
 ///
-/// Lines that are not annotations are left out with a warning, because a crash can tear the last one.
+/// Returns at most [`JudgementCourse::MOST_ANNOTATIONS`] annotations, the first ones of the text.
+///
+/// Lines that are not annotations are skipped with a warning that names `path`, because a crash can
+/// truncate the last line.
 #[must_use]
 pub fn read(text: &str, path: &Path) -> Vec<Annotation> {
     let lines = text.lines().enumerate();

@@ -1,4 +1,4 @@
-//! The course of a quantity: its judgements day by day, in the words of the bus.
+//! The history of a quantity: its judgements day by day, as messages of the bus.
 
 use spandrel_bus::{
     Annotation, ChangeKind, CourseCondition, CourseDelay, CourseReference, CourseRow,
@@ -15,8 +15,8 @@ use std::collections::VecDeque;
 const DAY_NS: i64 = 86_400_000_000_000;
 /// Level of the intervals of the judgement.
 const LEVEL: f64 = 0.95;
-/// Lowest ln of the evidence that is stated. Before the first possible step the evidence is zero, and
-/// its logarithm is no number of a message.
+/// Lower limit of the reported natural logarithm of the evidence. Before the first possible step
+/// the evidence is 0, and a message cannot contain its logarithm, −∞.
 pub const LEAST_LN_EVIDENCE: f64 = -10.0;
 /// Maximum number of days of a quantity, about 27 years. Beyond it, the oldest day is dropped.
 const MOST_DAYS: usize = 10_000;
@@ -104,7 +104,7 @@ fn unit(condition: &Condition) -> &'static str {
     }
 }
 
-/// Returns the row of a day in the course of its quantity.
+/// Converts the judgement of one day to a row of the history of the quantity.
 #[must_use]
 pub fn course_row(judgement: &Judgement) -> CourseRow {
     let means = judgement.means.as_ref();

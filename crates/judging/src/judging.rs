@@ -210,7 +210,10 @@ impl Judging {
     }
 }
 
-/// Returns the new reference that an annotation starts, if it starts one of a judged quantity.
+/// Returns the new reference that `annotation` starts.
+///
+/// Returns `None` if the annotation has another effect, or if it names a quantity that is not
+/// judged.
 #[must_use]
 pub fn new_reference(annotation: &Annotation, settings: &Settings) -> Option<NewReference> {
     if annotation.effect != AnnotationEffect::NewReference {

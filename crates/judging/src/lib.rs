@@ -2,7 +2,7 @@
 //!
 //! Takes the estimates of the parameters and the values of the conditions. Forms epochs of them,
 //! saves each epoch in a CSV file, and publishes the state of each quantity with one sentence. It
-//! answers queries for the course of a quantity: one row per day.
+//! answers queries for the history of a quantity: one row per day.
 //!
 //! The file is a series that `spandrel judge --series` reads. After a restart, the service reads it
 //! with the same reader, so both give the same judgements, bit for bit.
@@ -11,7 +11,7 @@
 //! has learnt before. Annotations are in a file beside the epochs.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
-//! - [`course_row`]: a judgement as a row of the course of its quantity
+//! - [`course_row`]: a judgement as a row of the history of the quantity
 //! - `judging`: closed epochs in, judgements and events out
 //! - `epoch_log`, `annotations`: the files of the epochs and of the annotations
 //! - [`new_reference`], [`read_annotations`]: the same for a series offline

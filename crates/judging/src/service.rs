@@ -43,16 +43,21 @@ const REPEAT_EVERY: Duration = Duration::from_secs(5);
 const QUESTIONS_WAITING: usize = 64;
 const ANNOTATIONS_WAITING: usize = 64;
 
-/// What the service of one structure needs to start.
+/// Start-up settings of the judgement service of one structure.
 #[derive(Clone, Debug)]
 pub struct JudgePlanned {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure, with a table `[judge]`.
+    /// The structure to judge. The service does not start if the structure file has no table
+    /// `[judge]`.
     pub monitored: Monitored,
 }
 
-/// The service that judges one structure.
+/// The service that judges one structure: it collects epochs from the bus, and publishes the state
+/// of each judged quantity.
+///
+/// At its start, the service judges the saved epochs again. It also answers queries for the history
+/// of a quantity, and takes annotations. An epoch that is not over at a stop is lost.
 #[derive(Debug)]
 pub struct JudgeService {
     keys: Keys,
@@ -67,7 +72,7 @@ pub struct JudgeService {
     /// `None` only while another thread judges.
     bench: Option<Bench>,
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
-    /// Queries for the courses of the quantities.
+    /// Queries for the histories of the quantities.
     questions: Questions,
     annotations: Subscription<Annotation>,
     events: EventPublisher,
@@ -233,7 +238,7 @@ impl JudgeService {
         })
     }
 
-    /// Answers a query for the course of a quantity.
+    /// Answers a query for the history of a quantity.
     async fn answer(&self, question: &Question) {
         let Some(bench) = &self.bench else {
             return; // an earlier call has ended the service

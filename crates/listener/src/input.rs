@@ -71,7 +71,7 @@ pub enum Input {
 /// One instance of a service, or one sensor node, of a structure.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Instance {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The service.
     pub service: Service,

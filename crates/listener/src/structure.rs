@@ -50,7 +50,8 @@ pub struct StructureState {
     pub seen: BTreeSet<(Service, Name)>,
     /// Measurement time of the newest value, ns since the Unix epoch, UTC.
     pub time_ns: Option<i64>,
-    /// Number of messages without room.
+    /// Number of messages that were dropped, because a map was full or the key of the message was
+    /// wrong.
     pub left_out: u64,
     /// Alerts whose service has disappeared, and which no other service has confirmed yet.
     stale_alerts: BTreeSet<Name>,
@@ -65,18 +66,19 @@ pub struct StructureState {
 /// Presence and last status of a service or node.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct InstanceState {
-    /// Whether its liveliness token exists.
+    /// Whether the liveliness token of the service or node exists.
     pub is_present: bool,
-    /// Its last status.
+    /// Last status of the service or node. `None` before the first status.
     pub status: Option<Status>,
-    /// Arrival time of the last status.
+    /// Arrival time of the last status, as in [`StructureState::now`]. Zero before the first
+    /// status.
     pub status_at: Duration,
 }
 
 /// Latest value of a condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConditionState {
-    /// The value.
+    /// The newest message of the condition, with its value, unit and measurement time.
     pub display: ConditionDisplay,
     /// Arrival time.
     at: Duration,
@@ -89,13 +91,14 @@ impl ConditionState {
     /// arrive a little later than its interval.
     const STALE_AFTER_INTERVALS: f64 = 2.0;
 
-    /// Returns the age at the time `now` of [`StructureState::now`].
+    /// Returns the age of the value at the time `now`, as returned by [`StructureState::now`].
     #[must_use]
     pub fn age(&self, now: Duration) -> Duration {
         self.age.saturating_add(now.saturating_sub(self.at))
     }
 
-    /// Returns `true` if a value is overdue. Without a stated interval, no value is.
+    /// Returns `true` if a value is overdue at the time `now`, as returned by
+    /// [`StructureState::now`]. Without a stated interval, no value is overdue.
     #[must_use]
     pub fn is_stale(&self, now: Duration) -> bool {
         let interval_s = self.display.interval_s;
@@ -108,7 +111,7 @@ impl ConditionState {
 /// A new state of an alert.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlertChange {
-    /// The new state.
+    /// State of the alert after the change.
     pub alert: AlertMessage,
     /// Whether an earlier state of the alert was known.
     pub was_known: bool,
@@ -293,8 +296,11 @@ impl StructureState {
             && self.instances.is_empty()
     }
 
-    /// Returns `true` if natural frequencies are followed and nothing is identified, because the
-    /// structure has no model. Frames then show that data arrives.
+    /// Returns `true` if the structure has no model, so that only its natural frequencies are
+    /// tracked.
+    ///
+    /// This is the case if a `modes` service has been present, and neither `identify` nor `fuse`.
+    /// Without estimates, frames are then the sign that data arrives.
     #[must_use]
     pub fn has_only_modes(&self) -> bool {
         let is_seen = |wanted: Service| self.seen.iter().any(|(seen, _)| *seen == wanted);

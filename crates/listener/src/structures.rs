@@ -93,7 +93,8 @@ impl Structures {
         self.now
     }
 
-    /// Returns the number of dropped messages. They had a wrong key, or there was no room.
+    /// Returns the number of messages that were dropped, because a map was full or the key of the
+    /// message was wrong.
     #[must_use]
     pub fn left_out(&self) -> u64 {
         let of_each = self.structures.values();

@@ -24,8 +24,8 @@ pub const MACHINE_DAMPING: f64 = 0.001;
 const LARGEST_DEVIATION: f64 = 0.05;
 /// Number of poles of a cluster whose deviations are compared.
 const COMPARED: usize = 5;
-/// Least ratio of the damping ratio of a certain mode to its standard deviation. In simulations, most
-/// modes below it do not exist.
+/// Minimum ratio of the damping ratio of a certain mode to the standard deviation of this damping
+/// ratio. In simulations, most modes below it are spurious.
 pub const CERTAIN_DAMPING: f64 = 2.0;
 /// Spectral kurtosis below which a line of the spectrum is a sine, if its pole has almost no damping:
 /// halfway from 0 (random motion) to −1 (a sine).
@@ -37,7 +37,7 @@ const LINE_KURTOSIS: f64 = -0.75;
 /// Least number of segments for which [`LINE_KURTOSIS`] holds.
 const LEAST_SEGMENTS: usize = 15;
 
-/// What a stable pole represents.
+/// Kind of motion that a stable pole represents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
@@ -50,13 +50,13 @@ pub enum Source {
 /// A mode of one epoch.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Mode {
-    /// What the poles represent.
+    /// Kind of motion that the poles represent: a mode of the structure or a machine.
     pub source: Source,
     /// Natural frequency (Hz).
     pub frequency_hz: f64,
     /// Standard deviation of the frequency (Hz).
     pub frequency_std_hz: f64,
-    /// Damping ratio.
+    /// Damping ratio, as a share of critical damping (0.01 = 1 %).
     pub damping: f64,
     /// Standard deviation of the damping ratio.
     pub damping_std: f64,
@@ -66,11 +66,12 @@ pub struct Mode {
     pub shape: DVector<Complex<f64>>,
     /// Standard deviation of the real part of each value of the shape.
     pub shape_std: Vec<f64>,
-    /// Modal phase collinearity: 1 for a standing shape.
+    /// Modal phase collinearity, 0 to 1. A real (normal) mode shape has 1: all channels move in
+    /// phase or in antiphase.
     pub collinearity: f64,
     /// Band in which the mode was identified (Hz).
     pub band_hz: (f64, f64),
-    /// Share of the orders with a pole of this mode.
+    /// Share of the model orders with a pole of this mode, 0 to 1.
     pub orders: f64,
     /// Spectral kurtosis at the frequency: 0 for random motion, −1 for a sine. `None` without a
     /// spectrum.

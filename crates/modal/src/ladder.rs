@@ -25,7 +25,13 @@ const SAME_FREQUENCY: f64 = 0.02;
 /// Smallest assurance criterion of the shapes of such copies.
 const SAME_SHAPE: f64 = 0.9;
 
-/// Frames to epochs in one or more bands.
+/// Collects frames into epochs in one or more frequency bands, from the highest to the lowest.
+///
+/// [`BandLadder::single`] uses one band. [`BandLadder::new`] adds lower bands, because an
+/// identification is poor far below the sampling rate. More bands cost more time per epoch.
+///
+/// [`BandLadder::push`] returns an epoch once it is complete in all bands. The state can be
+/// serialised at any frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BandLadder {
     streams: Vec<ModalStream>,
@@ -45,7 +51,7 @@ pub struct LadderEpoch {
 pub struct LadderModes {
     /// Modes and machines of all bands, in order of frequency.
     pub modes: Vec<Mode>,
-    /// What each band identified, from the highest to the lowest.
+    /// Modes and poles of each band, from the highest to the lowest.
     pub bands: Vec<Identified>,
 }
 

@@ -17,7 +17,7 @@ pub struct EpochModes {
     pub end: u64,
     /// Length of the epoch (s).
     pub length_s: f64,
-    /// What was identified.
+    /// Modes that were identified in the epoch.
     pub found: LadderModes,
     /// For each mode of `found`, the tracked mode to which it belongs.
     pub of_mode: Vec<Option<ModeId>>,
@@ -41,11 +41,11 @@ pub struct ModeSummary {
     pub damping: f64,
     /// Standard deviation of the damping ratio of one epoch, as stated.
     pub damping_std: f64,
-    /// Share of the epochs with the mode.
+    /// Share of the epochs in which the mode was found, 0 to 1.
     pub epochs: f64,
-    /// Mean modal phase collinearity.
+    /// Mean modal phase collinearity, 0 to 1. A real mode shape has 1.
     pub collinearity: f64,
-    /// Mean spectral kurtosis at the frequency.
+    /// Mean spectral kurtosis at the frequency: 0 for random motion, −1 for a sine.
     pub kurtosis: Option<f64>,
     /// The mode of the epoch with the smallest standard deviation, for its shape.
     #[serde(skip)]

@@ -89,14 +89,17 @@ impl TrackedMode {
         }
     }
 
-    /// Returns the share of the last 20 epochs, or of all epochs since the first, with the mode.
+    /// Returns the share of epochs with the mode, 0 to 1. It covers the last 20 epochs, or all
+    /// epochs since the mode was first found.
     #[must_use]
     pub fn presence(&self) -> f64 {
         let present = self.present.iter().filter(|present| **present).count();
         present as f64 / self.present.len() as f64
     }
 
-    /// Returns `true` if the mode is present often enough for a statement.
+    /// Returns `true` if the mode is present in enough epochs to be reported.
+    ///
+    /// The required share is [`LEAST_PRESENCE`]. It applies after [`LOST_AFTER`] epochs.
     #[must_use]
     pub fn has_statement(&self) -> bool {
         !self.is_lost
@@ -153,6 +156,12 @@ impl TrackedMode {
 }
 
 /// Assigns the modes of each epoch to tracked modes.
+///
+/// [`Tracker::update`] takes the modes of one epoch. Modes without a partner become candidates, and
+/// a candidate that persists is proposed. The caller decides: [`Tracker::adopt`] starts the
+/// tracking of a candidate, and [`Tracker::release`] ends it.
+///
+/// The tracker starts without modes and can be serialised between two epochs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tracker {
     birth_epochs: u64,

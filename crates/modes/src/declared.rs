@@ -25,14 +25,14 @@ const SAME_PROPOSAL: f64 = 0.02;
 /// Number of proposals that are remembered, so that each is made once.
 const MOST_PROPOSALS: usize = 64;
 
-/// An epoch that is over.
+/// A complete epoch with the modes that were identified in it.
 #[derive(Debug, Clone, Copy)]
 pub struct EpochOver<'e> {
-    /// Time of its last frame, ns since the Unix epoch, UTC.
+    /// Measurement time of the last frame of the epoch, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// The epoch.
+    /// The epoch in all frequency bands, from the highest to the lowest.
     pub epoch: &'e LadderEpoch,
-    /// What [`LadderEpoch::identify()`] has found in it.
+    /// Modes that [`LadderEpoch::identify()`] has found in the epoch.
     pub found: &'e LadderModes,
 }
 

@@ -25,12 +25,13 @@ const LAST_FRAMES: Duration = Duration::from_millis(100);
 /// send.
 const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
-/// What the service of one structure needs to start.
+/// Start-up settings of the mode tracking service of one structure.
 #[derive(Clone, Debug)]
 pub struct ModesPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure, with a table `[modal]`.
+    /// The structure to track. The service does not start if the structure file has no table
+    /// `[modal]`.
     pub monitored: Monitored,
 }
 

@@ -62,31 +62,33 @@ impl Stiffnesses {
         })
     }
 
-    /// Returns the names of the parameters.
+    /// Returns the names of the updated stiffness parameters, one per part.
     #[must_use]
     pub fn names(&self) -> &[Name] {
         &self.names
     }
 
-    /// Returns what the commissioning has taught. `None` before it is over.
+    /// Returns the reference that was learnt in the commissioning. `None` before the commissioning
+    /// is over.
     #[must_use]
     pub fn reference(&self) -> Option<&UpdateReference> {
         self.update.reference()
     }
 
-    /// Returns the model.
+    /// Returns the model of the parts whose stiffnesses are updated.
     #[must_use]
     pub fn model(&self) -> &PartModel {
         self.update.model()
     }
 
-    /// Returns the settings.
+    /// Returns the settings of the stiffness update.
     #[must_use]
     pub fn settings(&self) -> &UpdateSettings {
         self.update.settings()
     }
 
-    /// Returns the number of epochs of the commissioning so far, and in all.
+    /// Returns the number of epochs of the commissioning so far, and the total number that it
+    /// needs.
     #[must_use]
     pub fn commissioning(&self) -> (usize, usize) {
         let all = self.update.settings().commissioning_epochs;

@@ -3,7 +3,7 @@
 use spandrel_bus::{BusError, NameError};
 use std::path::PathBuf;
 
-/// An error of the notification service.
+/// An error that prevents the notification service from starting or continuing.
 #[derive(Debug, thiserror::Error)]
 pub enum NotifyError {
     /// A setting is invalid. The error text contains no secrets.

@@ -47,14 +47,14 @@ const MAINTENANCE_WAITING: usize = 64;
 /// Time limit after a stop for the notices that are being sent.
 const END_WITHIN: Duration = Duration::from_secs(5);
 
-/// What the notifications need to start.
+/// Start-up settings of the notification service.
 #[derive(Clone, Debug)]
 pub struct NotifyPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structures.
+    /// The structures whose changes cause notices.
     pub structures: Vec<Monitored>,
-    /// The receivers.
+    /// The receivers of the notices, and when they are notified.
     pub settings: NotifySettings,
 }
 

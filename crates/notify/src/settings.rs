@@ -20,11 +20,14 @@ const LONGEST_S: f64 = 30.0 * 86_400.0;
 pub struct NotifySettings {
     /// Public address of the page, for links. Without it, notices have no link.
     pub public_url: Option<String>,
-    /// Time after which a blind structure is notified, s.
+    /// Time for which a structure must have been blind before a notice reports it, s. The default
+    /// is 60.
     pub blind_after_s: f64,
-    /// Time after which a degraded structure is notified, s.
+    /// Time for which a structure must have been degraded before a notice reports it, s. The
+    /// default is 900.
     pub degraded_after_s: f64,
-    /// Time after which a structure that is watched again is notified, s.
+    /// Time for which a structure must have been watched again before a notice reports it, s. The
+    /// default is 60.
     pub watching_after_s: f64,
     /// Programs notified over HTTP.
     pub webhook: Vec<Webhook>,
@@ -270,7 +273,7 @@ impl NotifySettings {
         self.webhook.is_empty() && self.email.is_empty()
     }
 
-    /// Makes relative paths of secrets and templates relative to `folder`.
+    /// Resolves relative paths of secrets and templates against `folder`. Absolute paths remain.
     pub fn resolve(&mut self, folder: &Path) {
         let of_webhooks = self
             .webhook

@@ -65,7 +65,7 @@ pub enum RecordError {
     NoSamplingRate {
         /// The file.
         path: PathBuf,
-        /// The channel.
+        /// Name of the channel.
         channel: String,
     },
     /// Channels have different sampling rates and therefore no common rows.
@@ -77,7 +77,7 @@ pub enum RecordError {
     UnequalRates {
         /// The file.
         path: PathBuf,
-        /// The channel.
+        /// Name of the channel.
         channel: String,
         /// Its sampling rate, in Hz.
         found_hz: f64,
@@ -95,7 +95,7 @@ pub enum RecordError {
     UnequalOrigins {
         /// The file.
         path: PathBuf,
-        /// The channel.
+        /// Name of the channel.
         channel: String,
         /// The first channel.
         first: String,
@@ -109,7 +109,7 @@ pub enum RecordError {
     Resampling {
         /// The file.
         path: PathBuf,
-        /// The channel.
+        /// Name of the channel.
         channel: String,
         /// Its sampling rate, in Hz.
         from_hz: f64,
@@ -200,7 +200,7 @@ pub enum RecordError {
     /// The log cannot store the frames.
     #[error("frames of `{structure}` cannot be logged: {what} is {found}, must be {allowed}")]
     NotLoggable {
-        /// The structure.
+        /// Name of the structure.
         structure: String,
         /// The invalid property.
         what: &'static str,
@@ -363,7 +363,7 @@ pub enum RecordError {
         quoted(allowed)
     )]
     Unit {
-        /// The channel.
+        /// Name of the channel.
         channel: String,
         /// The unit found.
         found: String,
@@ -377,7 +377,7 @@ pub enum RecordError {
         "channel `{channel}`: {setting} is {found}, must be finite, and a scale must not be zero"
     )]
     Calibration {
-        /// The channel.
+        /// Name of the channel.
         channel: String,
         /// `scale` or `offset`.
         setting: &'static str,

@@ -71,15 +71,15 @@ pub struct GapSummary {
 /// Statistics of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Statistics {
-    /// Mean value.
+    /// Mean value, in the unit of the file.
     pub mean: f64,
     /// Standard deviation, with the samples as the whole population.
     pub std: f64,
-    /// Lowest value.
+    /// Lowest value, in the unit of the file.
     pub min: f64,
-    /// Highest value.
+    /// Highest value, in the unit of the file.
     pub max: f64,
-    /// The value with the largest absolute value.
+    /// The value with the largest absolute value, with its sign, in the unit of the file.
     pub peak: f64,
     /// Time from the start of the channel to the peak, in s.
     pub peak_after_s: Option<f64>,

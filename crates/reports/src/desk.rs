@@ -12,7 +12,7 @@ use std::sync::Arc;
 pub(crate) enum Work {
     /// A report is new.
     Reported(Kept, MadeReport),
-    /// The report existed, and the course of the events has been computed again.
+    /// The report existed, and the history of the events has been computed again.
     Known,
     /// The recording is not reported, for this reason.
     Failed(Kept, String),
@@ -28,7 +28,7 @@ pub(crate) struct Desk {
     /// Number of recordings that are kept.
     keep: usize,
     course: Option<Box<dyn ReportCourse>>,
-    /// The recordings that the course contains, with their starts (ns), in the order of time.
+    /// The recordings that the history contains, with their starts (ns), in the order of time.
     taken: Vec<(i64, String)>,
     /// Why recordings are not reported.
     failed: BTreeMap<String, String>,
@@ -46,7 +46,7 @@ impl Desk {
         }
     }
 
-    /// Works on the next recording that the course lacks.
+    /// Works on the next recording that the history lacks.
     pub(crate) fn work(&mut self) -> Work {
         match self.records.trim(self.keep) {
             Ok(true) => self.course = None,
@@ -61,7 +61,7 @@ impl Desk {
         let is_open = |kept: &&Kept, taken: &[(i64, String)]| {
             !is_taken(kept, taken) && !self.failed.contains_key(&kept.stem)
         };
-        // The clock may have gone back. The course has an order, so it begins anew.
+        // The clock may have gone back. The history has an order, so it begins anew.
         let next = all.iter().find(|kept| is_open(kept, &self.taken));
         let is_before = |kept: &Kept| {
             let last = self.taken.last();
@@ -79,7 +79,7 @@ impl Desk {
             Ok(Some(made)) => Work::Reported(kept, made),
             Ok(None) => Work::Known,
             Err(trouble) => {
-                // The course may lack this event or contain it.
+                // The history may lack this event or contain it.
                 self.course = None;
                 let why = match trouble {
                     Trouble::Recording(why) => {

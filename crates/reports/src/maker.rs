@@ -6,9 +6,9 @@ use std::path::Path;
 /// The report of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MadeReport {
-    /// The page, HTML without scripts.
+    /// The report as a page, HTML without scripts.
     pub html: String,
-    /// The same numbers, JSON.
+    /// The report as JSON, with the same numbers as the page.
     pub json: String,
     /// How soon an inspector is needed, in words.
     pub urgency: String,
@@ -19,9 +19,9 @@ pub struct MadeReport {
 /// The list of all reports.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReportIndex {
-    /// The page, HTML without scripts.
+    /// The report as a page, HTML without scripts.
     pub html: String,
-    /// The same as JSON.
+    /// The list as JSON, with the same content as the page.
     pub json: String,
 }
 

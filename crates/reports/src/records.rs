@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 /// Permissions of the folder. Only the owner has access.
 const FOLDER_MODE: u32 = 0o700;
-/// Share of the recordings that remain when there are too many. The course of the earlier events is
-/// then computed anew, so this must be rare.
+/// Share of the recordings that remain when there are too many. The history of the earlier events
+/// is then computed anew, so this must be rare.
 const REMAINING: f64 = 0.9;
 
 /// Reason why a recording or a report is not kept.

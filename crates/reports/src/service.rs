@@ -42,16 +42,17 @@ const MOST_WAITING: usize = 4;
 /// Capacity of the queue for queries.
 const QUESTIONS_WAITING: usize = 64;
 
-/// What the service of one structure needs to start.
+/// Start-up settings of the report service of one structure.
 #[derive(Clone, Debug)]
 pub struct ReportsPlan {
-    /// The instance.
+    /// Session, id and clock of the service.
     pub instance: ServiceInstance,
-    /// The structure, with a table `[earthquakes]`.
+    /// The structure to report on. The service does not start if the structure file has no table
+    /// `[earthquakes]`.
     pub monitored: Monitored,
     /// Folder of the recordings and reports.
     pub folder: PathBuf,
-    /// What makes the reports.
+    /// Maker of the reports, one for all recordings of the structure.
     pub maker: Arc<dyn ReportMaker>,
 }
 

@@ -38,12 +38,15 @@ impl Speed {
 /// The maximum number of rows in transit between a source and the services that it waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
-    /// Maximum number of published but unprocessed rows. The limit is in rows, not time, because a
-    /// gap in a record contains no rows, whatever its duration.
+    /// Maximum number of published but unprocessed rows.
+    ///
+    /// The limit is in rows, not time, because a gap in a record contains no rows, whatever its
+    /// duration.
     pub rows: u64,
     /// Time between two rows, ns.
     pub step_ns: i64,
-    /// Maximum lead of any node's clock, ns.
+    /// Largest amount by which the clock of any node is ahead of the times of the rows, ns. At
+    /// least 0.
     pub clock_ahead_ns: i64,
     /// Lowest epoch of this run. Frames of lower epochs belong to an earlier run.
     pub min_epoch: u64,

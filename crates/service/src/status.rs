@@ -17,7 +17,7 @@ pub const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// [`Status`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
-    /// Number of the first unprocessed item.
+    /// Sequence number of the first item that has not been processed.
     pub done: u64,
     /// Time of the last processed item, ns since the Unix epoch. `None` before the first item, and
     /// if the service has no items.
@@ -86,7 +86,8 @@ impl StatusPublisher {
         })
     }
 
-    /// Publishes a report with the present time, and with the lag behind it.
+    /// Publishes a report, and adds the present time and the lag: the time since the last processed
+    /// item was measured.
     ///
     /// # Errors
     /// The report is malformed, or the session is closed.

@@ -131,7 +131,7 @@ impl fmt::Display for Summary<'_> {
     }
 }
 
-/// Returns the course of each quantity, day by day, as the service judge states it.
+/// Returns the history of each quantity, day by day, as the service judge states it.
 pub fn course_csv(settings: &Settings, judgements: &[Judgement]) -> String {
     let conditions = settings.conditions.iter();
     let names: Vec<&str> = conditions

@@ -63,7 +63,8 @@ pub struct Summary {
     /// services counts them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub samples: Option<Samples>,
-    /// Mean effective share of the particles before resampling. `None` without a particle filter.
+    /// Mean relative effective sample size of the particles before resampling: the effective sample
+    /// size divided by the number of particles (0 to 1). `None` without a particle filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub effective_share: Option<f64>,
 }
@@ -216,7 +217,8 @@ impl Collector {
         }
     }
 
-    /// Records the mean effective share of the particles.
+    /// Records the mean relative effective sample size of the particles (0 to 1), or `None` without
+    /// a particle filter.
     pub fn take_effective_share(&mut self, share: Option<f64>) {
         self.effective_share = share;
     }

@@ -12,7 +12,7 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// All units, as the messages of conditions contain them.
+    /// All units of conditions, spelt as in condition messages.
     pub const UNITS: [&'static str; 33] = [
         "degC",
         "K",

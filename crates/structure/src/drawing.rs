@@ -53,9 +53,10 @@ pub struct DrawnPoint {
 /// A member of a drawing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DrawnMember {
-    /// Names of its substructures; several if the member has one stiffness per bending direction.
+    /// Names of the substructures of the member; several if the member has one stiffness per
+    /// bending direction.
     pub parts: Vec<String>,
-    /// Indices of the points that it joins (from 0); the same index twice for a box.
+    /// Indices of the points that the member joins (from 0); the same index twice for a box.
     pub ends: [usize; 2],
     /// Names of the parameters that scale its stiffness; empty if the stiffness is known.
     pub parameters: Vec<String>,

@@ -12,7 +12,7 @@ pub struct EarthquakePlan {
     pub strong_m_per_s2: f64,
     /// Loss of stiffness that matters, as a share.
     pub loss: f64,
-    /// Probability from which a loss is raised.
+    /// Probability of a loss at and above which the loss is raised, 0 to 1.
     pub credibility: f64,
     /// Times after an earthquake at which it is reported again (s), in increasing order.
     pub again_after_s: Vec<f64>,

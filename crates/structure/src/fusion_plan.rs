@@ -198,7 +198,7 @@ impl Structure {
         Some(make())
     }
 
-    /// Returns the minimum and maximum sound mean of each parameter.
+    /// Returns the minimum and maximum mean of each parameter that a working filter can have.
     fn healthy_limits(&self) -> MeanLimits {
         let limits = |of: fn((f64, f64)) -> f64| {
             let limit = |parameter: &crate::Parameter| match parameter.scales {

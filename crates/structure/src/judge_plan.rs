@@ -28,7 +28,7 @@ pub struct JudgePlan {
 pub struct JudgedStructure {
     /// Name of the structure.
     pub name: String,
-    /// Its `[judge]` table.
+    /// The `[judge]` table of the structure file.
     pub plan: JudgePlan,
 }
 

@@ -92,7 +92,7 @@ impl LinearForm {
     /// Creates the recursion for a step of `step_s` (s) from one exponential of an augmented
     /// matrix.
     ///
-    /// `holds` specifies the course of each excitation component over a step.
+    /// `holds` specifies how each excitation component varies within a step.
     pub(crate) fn recursion(&self, step_s: f64, holds: &[InputHold]) -> Recursion {
         let (n, inputs) = (self.input.nrows(), self.input.ncols());
         let with_slope = if holds.contains(&InputHold::First) {

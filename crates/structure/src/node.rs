@@ -61,7 +61,8 @@ impl Quantity {
         matches!(self, Self::Displacement | Self::Velocity | Self::Strain)
     }
 
-    /// Returns the allowed units of record columns, each with its size in the SI unit.
+    /// Returns the allowed units of record columns, each with the conversion factor to the SI unit.
+    /// A value in the unit times the factor is the value in the SI unit.
     #[must_use]
     pub fn record_units(self) -> &'static [(&'static str, f64)] {
         match self {

@@ -39,8 +39,13 @@ const ANNEALING_FADED: f64 = 0.01;
 /// A monitored structure: model, parameters, excitation, sensors, and settings of filter and
 /// alerts.
 ///
-/// It always comes from a structure file and is valid: names are unique and known, matrices are
-/// definite, and numbers are in range.
+/// A structure always comes from a structure file and is valid: names are unique and known,
+/// matrices are definite, and numbers are in range. Later code does not check them again.
+/// [`Structure::read`] and [`Structure::parse`] report all mistakes of a file at once.
+///
+/// Optional parts, such as the `[judge]`, `[modal]` and `[earthquakes]` tables, are `None` if the
+/// file lacks them. All quantities of the model are in SI units. Conditions remain in the unit of
+/// the file.
 #[derive(Debug, Clone)]
 pub struct Structure {
     pub(crate) text: String,

@@ -30,7 +30,8 @@ pub struct FigureReport {
     pub judgement: Judgement,
     /// Seeds.
     pub seeds: Vec<u64>,
-    /// Measured number of each seed in their order, or `None` if it could not be determined.
+    /// Measured number for each seed, in the order of the seeds. An element is `None` if the number
+    /// could not be determined.
     pub measured: Vec<Option<f64>>,
     /// Reason why a miss is expected, or `None` if a miss is a surprise.
     #[serde(rename = "known-miss")]

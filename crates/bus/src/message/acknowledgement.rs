@@ -9,9 +9,9 @@ use crate::name::Name;
 /// Acknowledgement of the alert of one parameter. The key contains the same parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Acknowledgement {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: Name,
     /// Time of the acknowledgement, ns since the Unix epoch, UTC, on the clock of the person's
     /// device.

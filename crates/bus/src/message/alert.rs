@@ -69,9 +69,9 @@ impl AlertState {
 /// State of the alert of one parameter, with its reasons.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AlertMessage {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: Name,
     /// Time of the frame on which the decision is based, ns since the Unix epoch, UTC.
     pub time_ns: i64,

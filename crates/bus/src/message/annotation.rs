@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::{Format, Malformed, Message, check_label, check_text};
 use crate::name::Name;
 
-/// What an annotation is about.
+/// Subject of an annotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnnotationKind {
@@ -54,7 +54,7 @@ impl AnnotationKind {
     }
 }
 
-/// What an annotation changes in the judgement of lasting change.
+/// Effect of an annotation on the judgement of lasting change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum AnnotationEffect {
@@ -82,22 +82,22 @@ impl AnnotationEffect {
 /// A note of a person about a structure or one judged quantity.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Annotation {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The judged quantity. `None` for all of them.
+    /// The judged quantity that the annotation concerns. `None` for all quantities.
     #[serde(default)]
     pub quantity: Option<Name>,
     /// Time of this message, ns since the Unix epoch, UTC, by the clock of the sender.
     pub time_ns: i64,
-    /// Beginning of what it describes, ns since the Unix epoch, UTC, at most `time_ns` if it starts a
-    /// reference.
+    /// Beginning of the annotated span, ns since the Unix epoch, UTC. At most `time_ns` if the
+    /// annotation starts a new reference.
     pub from_ns: i64,
-    /// End of what it describes, ns since the Unix epoch, UTC. `None` for a moment.
+    /// End of the annotated span, ns since the Unix epoch, UTC. `None` for a moment.
     #[serde(default)]
     pub to_ns: Option<i64>,
-    /// What it is about.
+    /// Subject of the annotation.
     pub kind: AnnotationKind,
-    /// What it changes.
+    /// Effect of the annotation on the judgement.
     #[serde(default)]
     pub effect: AnnotationEffect,
     /// Name of the person; not empty, at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without

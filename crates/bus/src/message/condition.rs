@@ -48,9 +48,9 @@ const UNITS: &[(&str, f64)] = &[
 /// A value of a slow quantity that describes the conditions of a structure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ConditionDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The condition.
+    /// Name of the condition.
     pub name: Name,
     /// Time of the measurement, ns since the Unix epoch, UTC.
     pub time_ns: i64,

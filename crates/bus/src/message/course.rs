@@ -1,4 +1,4 @@
-//! The course of a judged quantity: one row per day.
+//! The history of a judged quantity: one row per day.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -15,35 +15,36 @@ const MOST_CONDITIONS: usize = 16;
 /// Maximum number of delays of a reference.
 const MOST_DELAYS: usize = 64;
 
-/// A condition of a course.
+/// A condition in the history of a judged quantity.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CourseCondition {
-    /// The condition.
+    /// Name of the condition.
     pub name: Name,
-    /// Unit of its values: `degC`, `log10` of an amplitude, or empty for any other condition; at
-    /// most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES).
+    /// Unit of the values of the condition: `degC`, `log10` of an amplitude, or empty for any other
+    /// condition; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES).
     pub unit: String,
 }
 
-/// After how many days a loss is found, from simulated years.
+/// Time from a loss of stiffness to its detection, from simulated years.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CourseDelay {
-    /// Loss of stiffness as a share.
+    /// Size of the loss, as a share of the stiffness (0 to 1).
     pub loss: f64,
-    /// Median delay, days. `None` if most losses of this size are missed.
+    /// Median time from the loss to its detection, days. `None` if most losses of this size are
+    /// missed.
     pub median_days: Option<u32>,
-    /// Share that is found within 30 days.
+    /// Share of the simulated losses of this size that are found within 30 days, 0 to 1.
     pub found_in_a_month: f64,
 }
 
-/// What a learnt reference promises.
+/// Summary of a learnt reference: its commissioning, false alarms and detection delays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CourseReference {
     /// Start of the first day of the commissioning, ns since the Unix epoch, UTC.
     pub from_ns: i64,
-    /// Start of its last day, ns since the Unix epoch, UTC.
+    /// Start of the last day of the commissioning, ns since the Unix epoch, UTC.
     pub to_ns: i64,
-    /// Share of the later days of the commissioning in their 95 % interval.
+    /// Share of the later days of the commissioning within their 95 % interval, 0 to 1.
     pub coverage: f64,
     /// Standard deviation of a day under known conditions, as a share of the value.
     pub scatter: f64,
@@ -51,7 +52,7 @@ pub struct CourseReference {
     pub knows_frost: Option<bool>,
     /// Budget of this quantity: false alarms per year.
     pub promised_per_year: f64,
-    /// False alarms per year in simulated years.
+    /// Rate of false alarms in simulated years, per year.
     pub achieved_per_year: f64,
     /// Delays by size of loss.
     pub delays: Vec<CourseDelay>,
@@ -64,43 +65,45 @@ pub struct CourseRow {
     pub day_ns: i64,
     /// State on this day.
     pub state: JudgementState,
-    /// The lasting change that was known at the end of the day.
+    /// The lasting change that was known at the end of the day. `None` without one.
     pub change: Option<LastingChange>,
     /// State and change in one sentence.
     pub sentence: String,
-    /// Number of epochs that count.
+    /// Number of epochs of the day that count.
     pub epochs: u32,
     /// Mean value of the day, in the unit of the quantity. `None` if no epoch counts.
     pub measured: Option<f64>,
-    /// Mean of each condition. Empty if no epoch counts.
+    /// Mean of each condition over the day, in the order of the conditions. Empty if no epoch
+    /// counts.
     pub conditions: Vec<f32>,
-    /// Expected value. `None` without a reference, and for a day without data.
+    /// Expected value of the day. `None` without a reference, and for a day without data.
     pub expectation: Option<DayExpectation>,
 }
 
-/// Reply to a query for the course of a judged quantity.
+/// Reply to a query for the history of a judged quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JudgementCourse {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The quantity.
+    /// Name of the judged quantity.
     pub quantity: Name,
-    /// What it measures: `frequency` or `stiffness`; at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES).
+    /// What the quantity measures: `frequency` or `stiffness`; at most
+    /// [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES).
     pub kind: String,
     /// The conditions, in the order of their values in the rows.
     pub conditions: Vec<CourseCondition>,
     /// Budget: false alarms per year, for all quantities of the structure.
     pub false_alarms_per_year: f64,
-    /// Loss of stiffness that matters, as a share.
+    /// Loss of stiffness that matters, as a share of the reference (0 to 1).
     pub loss: f64,
     /// Length of the commissioning, days.
     pub commissioning_days: u32,
-    /// The reference. `None` while it is learnt.
+    /// Reference with which the days are compared. `None` while the reference is learnt.
     pub reference: Option<CourseReference>,
     /// Start of the earliest day that is kept, ns since the Unix epoch, UTC. `None` without days.
     pub kept_from_ns: Option<i64>,
-    /// What people have noted about the quantity, in the order of the notes. It explains the days and
-    /// is not limited to the span.
+    /// Annotations of the quantity by people, in the order of their arrival. They are not limited
+    /// to the requested span.
     pub annotations: Vec<Annotation>,
     /// The days of the span, in chronological order. If the reply cannot contain all, it contains the
     /// last ones.
@@ -126,7 +129,7 @@ impl JudgementCourse {
 }
 
 impl CourseRow {
-    /// Returns the header of a CSV file of courses, with its line end.
+    /// Returns the header of a CSV file of histories, with its line end.
     #[must_use]
     pub fn csv_header(conditions: &[&str]) -> String {
         let mut text = "date,quantity,state,change,loss,loss.low,loss.high,epochs,measured,\

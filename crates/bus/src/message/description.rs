@@ -8,7 +8,7 @@ use crate::name::Name;
 /// Reply to a query for the description of a structure.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Description {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The structure file (TOML).
     pub text: String,

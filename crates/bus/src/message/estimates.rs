@@ -85,9 +85,11 @@ pub struct Estimate {
     pub noise_covariance: Vec<f64>,
     /// Innovation per observation row, units of the channels. NaN = missing or screened out.
     pub innovations: Vec<f64>,
-    /// νᵀS⁻¹ν over the used channels.
+    /// Normalised innovation squared νᵀS⁻¹ν over the used channels, with the innovation ν and its
+    /// covariance S.
     pub normalised_innovation_squared: f64,
-    /// Logarithm of the evidence of this frame.
+    /// Natural logarithm of the evidence of this frame: the density of its measurement given the
+    /// earlier data.
     pub log_evidence: f64,
     /// Number of observation rows used in the update.
     pub used_channels: u16,
@@ -124,8 +126,7 @@ impl Estimate {
 /// Consecutive estimates. Estimate j belongs to frame `header.sequence + j`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EstimateBlock {
-    /// Source: id of identify; sequence: number of the first frame in this block; time: of that
-    /// frame.
+    /// Source: id of identify. Sequence and time: number and time of the first frame in this block.
     pub header: Header,
     /// Term of the leading identify. 0 for the station of distributed identification, which has no
     /// standby.

@@ -89,7 +89,7 @@ pub enum EventKind {
 /// One event with its reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// Measurement time of the event, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -282,7 +282,7 @@ impl UndecidedBecause {
 /// Measures of fit of one observed channel. `None` if a measure is not yet known.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelFitDisplay {
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// Largest absolute autocorrelation of the innovations over the lags of one period, 0 to 1.
     /// White innovations have a value near 0.
@@ -299,7 +299,7 @@ pub struct ChannelFitDisplay {
 /// Verdict on the fit of one structure, published at display rate and on every change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FitDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -15,8 +15,7 @@ use crate::grid::TimeGrid;
 /// `t0_ns + round(k·10⁹/rate)`. The channels follow the order of the structure file, node by node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameBlock {
-    /// Source: id of ingest; sequence: number of the first frame in this block; time: of that
-    /// frame.
+    /// Source: id of ingest. Sequence and time: number and time of the first frame in this block.
     pub header: Header,
     /// Time of frame 0, ns since the Unix epoch, UTC.
     pub t0_ns: i64,

@@ -49,7 +49,7 @@ pub struct HistoryRows {
 /// Reply to a query for one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HistorySpan {
-    /// The structure.
+    /// Name of the structure whose history this is.
     pub structure: Name,
     /// Kind of the quantity: `parameter`, `loss`, `noise`, `outlier`, `class` or `node`.
     pub kind: String,
@@ -67,7 +67,7 @@ pub struct HistorySpan {
 /// Reply to a query for all alert changes, acknowledgements and events, oldest first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HistoryLog {
-    /// The structure.
+    /// Name of the structure whose history this is.
     pub structure: Name,
     /// Changes of alerts.
     pub alerts: Vec<AlertMessage>,

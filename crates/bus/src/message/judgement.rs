@@ -88,13 +88,13 @@ impl ChangeKind {
 pub struct LastingChange {
     /// Kind of the change.
     pub kind: ChangeKind,
-    /// Start of the day on which it was found, ns since the Unix epoch, UTC.
+    /// Start of the day on which the change was found, ns since the Unix epoch, UTC.
     pub found_ns: i64,
-    /// Start of its most credible first day, ns since the Unix epoch, UTC.
+    /// Start of the most credible first day of the change, ns since the Unix epoch, UTC.
     pub since_ns: i64,
     /// Loss of stiffness as a share of the reference; negative for a gain.
     pub loss: f64,
-    /// Interval of the loss.
+    /// Interval of the loss, as shares of the reference.
     pub interval: CredibleInterval,
 }
 
@@ -121,9 +121,9 @@ pub struct DayExpectation {
     pub interval: CredibleInterval,
     /// Whitened residual, in standard deviations.
     pub residual: f64,
-    /// ln of the evidence of a loss.
+    /// Natural logarithm of the evidence of a loss.
     pub ln_evidence: f64,
-    /// ln of the threshold of the evidence.
+    /// Natural logarithm of the threshold at which the evidence raises an alarm.
     pub ln_threshold: f64,
     /// CUSUM of the cross-check, divided by its threshold.
     pub cusum_share: f64,
@@ -132,7 +132,7 @@ pub struct DayExpectation {
 /// State of one judged quantity, with one sentence and the numbers behind it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JudgementDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The quantity.
     pub quantity: Name,

@@ -14,9 +14,9 @@ use crate::name::Name;
 /// rule has none. If several rules watch a parameter, the message is that of the first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LossDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
@@ -24,7 +24,7 @@ pub struct LossDisplay {
     pub loss: f64,
     /// Credible interval of the loss of this structure, with the uncertainty of the reference.
     pub interval: CredibleInterval,
-    /// Probability that the loss exceeds `rule_loss`.
+    /// Probability that the loss exceeds `rule_loss`, 0 to 1.
     pub probability_of_loss: f64,
     /// Loss threshold of the rule, a share of the reference.
     pub rule_loss: f64,

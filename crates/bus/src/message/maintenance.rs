@@ -9,7 +9,7 @@ use crate::name::Name;
 /// of one part, are muted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Maintenance {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The part. `None` for the whole structure.
     #[serde(default)]

@@ -44,7 +44,7 @@ pub struct ShapeValue {
     pub channel: String,
     /// Real and imaginary part, relative to the channel with the largest amplitude.
     pub value: [f64; 2],
-    /// Standard deviation of the real part.
+    /// Standard deviation of the real part, relative to the channel with the largest amplitude.
     pub std: f64,
 }
 
@@ -62,16 +62,17 @@ pub struct ModeEstimate {
     /// Shape at the channels that take part in the epoch. The channel with the largest amplitude has
     /// the value 1.
     pub shape: Vec<ShapeValue>,
-    /// Standard deviation of the samples of that channel in the band of the mode, in its unit.
+    /// Standard deviation of the samples in the band of the mode, at the channel with the largest
+    /// amplitude, in the unit of the channel.
     pub amplitude: f64,
 }
 
 /// One declared mode after one epoch.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModeDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The mode.
+    /// Name of the mode.
     pub mode: Name,
     /// Measurement time of the end of the epoch, ns since the Unix epoch, UTC.
     pub time_ns: i64,
@@ -81,13 +82,14 @@ pub struct ModeDisplay {
     pub epochs: u64,
     /// State after the epoch.
     pub state: ModeState,
-    /// The mode from which it cannot be told apart.
+    /// The other mode of a pair whose two modes cannot be told apart. `None` if the mode is in no
+    /// pair.
     pub partner: Option<Name>,
-    /// What was found in the epoch. `None` if the mode is missing or lost.
+    /// Estimate of the mode in the epoch. `None` if the mode is missing or lost.
     pub estimate: Option<ModeEstimate>,
-    /// Share of the last 20 epochs in which the mode was found.
+    /// Share of the last 20 epochs in which the mode was found, 0 to 1.
     pub presence: f64,
-    /// Whether a machine runs at this frequency. The estimate is then not reliable.
+    /// Whether a machine runs at the frequency of the mode. The estimate is then not reliable.
     pub machine: bool,
     /// Frequency of the mode in the structure file, Hz.
     pub declared_hz: f64,

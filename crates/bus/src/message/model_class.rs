@@ -13,7 +13,7 @@ pub struct ClassPlausibility {
     /// Name of the class: from the structure file, `baseline`, or the parameter that the class
     /// singles out.
     pub class: String,
-    /// Probability among the competing classes.
+    /// Probability of the class among the competing classes, 0 to 1.
     pub plausibility: f64,
 }
 
@@ -31,7 +31,7 @@ pub struct ClassCalibration {
 /// State of the model classes of a structure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelClassDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

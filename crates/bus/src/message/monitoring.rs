@@ -42,7 +42,7 @@ impl MonitoringState {
 /// Whether a change of one parameter would be noticed at present.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterMonitoring {
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: Name,
     /// The state.
     pub state: MonitoringState,
@@ -56,7 +56,7 @@ pub struct ParameterMonitoring {
 /// Whether the samples of one response channel are used at present.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelMonitoring {
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// The state.
     pub state: MonitoringState,
@@ -67,7 +67,7 @@ pub struct ChannelMonitoring {
 /// State of the monitoring of one structure, published once per second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MonitoringDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// Wall-clock time, ns since the Unix epoch, UTC.
     pub time_ns: i64,

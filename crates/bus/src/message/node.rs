@@ -29,9 +29,9 @@ pub enum NodeHealth {
 /// State of one node, published after each fusion and once more when the node goes offline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NodeDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The node.
+    /// Name of the node.
     pub node: Name,
     /// Time of the fusion, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -8,7 +8,7 @@ use crate::name::Name;
 /// Mean and standard deviation of one noise parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The noise parameter.
     pub name: Name,

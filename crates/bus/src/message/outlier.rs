@@ -31,9 +31,9 @@ pub struct MaskedSpan {
 /// Result of the screening of one channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutlierDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -42,9 +42,9 @@ impl CredibleInterval {
 /// Mean, standard deviation and credible interval of one parameter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The parameter.
+    /// Name of the parameter.
     pub parameter: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

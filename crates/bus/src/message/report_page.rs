@@ -10,7 +10,7 @@ use crate::name::Name;
 /// The size of the message limits both texts together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReportPage {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// The report, or `index` for the list of all reports.
     pub report: Name,

@@ -41,36 +41,37 @@ pub enum FaultKind {
     Exchanged,
 }
 
-/// What the comparison shows of one channel.
+/// Health of one channel, from the comparison with the other channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelHealthDisplay {
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// The judgement.
     pub state: Soundness,
     /// Probability of a fault, 0 to 1.
     pub probability: f64,
-    /// Most probable fault. `None` if the channel is sound or unchecked.
+    /// Most probable fault. `None` if the channel works or is unchecked.
     pub fault: Option<FaultKind>,
-    /// Factor between the channel and the motion of the others, negative for the opposite sign.
-    /// `None` before the first comparison.
+    /// Ratio of the channel to the motion that the other channels imply, negative for the opposite
+    /// sign. `None` before the first comparison.
     pub gain: Option<f64>,
-    /// Delay against the others, s. `None` before the first comparison.
+    /// Delay of the channel relative to the other channels (s), positive if the channel is later.
+    /// `None` before the first comparison.
     pub delay_s: Option<f64>,
-    /// Coherence with the others, 0 to 1. `None` before the first comparison.
+    /// Coherence with the other channels, 0 to 1. `None` before the first comparison.
     pub coherence: Option<f64>,
 }
 
-/// What the comparison shows of the channels of one node.
+/// Health of the channels of one node, from the comparison of all channels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SensorHealthDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The node.
+    /// Name of the node.
     pub node: Name,
     /// Time of the frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,
-    /// Its channels.
+    /// Health of the channels of the node that are compared with others.
     pub channels: Vec<ChannelHealthDisplay>,
 }
 

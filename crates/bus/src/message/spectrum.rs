@@ -11,7 +11,7 @@ pub const MAX_FREQUENCIES: usize = 256;
 /// The power spectral density of one channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelSpectrum {
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// Number of averaged windows.
     pub windows: u64,
@@ -23,9 +23,9 @@ pub struct ChannelSpectrum {
 /// The power spectral densities of the samples of one node in about the last minute.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SpectrumDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The node.
+    /// Name of the node.
     pub node: Name,
     /// Time of the last frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

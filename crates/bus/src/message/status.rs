@@ -124,7 +124,7 @@ pub struct InstrumentStatus {
 /// Status of a service, published once per second and when the load changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
     /// Name of the service, as in the key.
     pub service: Name,

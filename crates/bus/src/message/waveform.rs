@@ -23,7 +23,7 @@ pub struct SampleLevel {
 /// The samples of one channel, reduced to their extremes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelWaveform {
-    /// The channel.
+    /// Name of the channel.
     pub channel: Name,
     /// Number of frames without a sample of the channel.
     pub missing: u64,
@@ -37,9 +37,9 @@ pub struct ChannelWaveform {
 /// The samples of one node in about one second, reduced to the extremes of short buckets.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WaveformDisplay {
-    /// The structure.
+    /// Name of the structure.
     pub structure: Name,
-    /// The node.
+    /// Name of the node.
     pub node: Name,
     /// Time of the first frame, ns since the Unix epoch, UTC.
     pub time_ns: i64,

@@ -33,8 +33,12 @@ pub struct ClassBankState {
 
 /// One filter for each class of a plan, with plausibilities: Huang & Yuen (2023), §5.3 to §5.5.
 ///
-/// One call of [`ClassBank::step`] is one time step. Banks of large filters step in parallel. The
-/// results are bit-identical for any number of threads.
+/// One call of [`ClassBank::step`] is one time step. The estimates are those of all classes or of
+/// the most plausible class, as each method states. The bank restarts single filters that have
+/// diverged. The caller must restart the bank only if all filters have diverged.
+///
+/// Banks of large filters step in parallel. The results are bit-identical for any number of
+/// threads. The cost of a step is that of one filter times the number of classes.
 #[derive(Debug)]
 pub struct ClassBank<S: ComponentSystem> {
     system: S,

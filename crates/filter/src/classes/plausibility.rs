@@ -16,7 +16,8 @@ pub struct Plausibilities {
 }
 
 impl Plausibilities {
-    /// Returns equal plausibilities for all classes, (5.17).
+    /// Returns equal plausibilities for `classes` classes, 1/`classes` each: Huang & Yuen (2023),
+    /// (5.17).
     #[must_use]
     pub fn uniform(classes: usize) -> Self {
         Self {
@@ -24,7 +25,9 @@ impl Plausibilities {
         }
     }
 
-    /// Creates plausibilities from probabilities, which must sum to 1.
+    /// Creates plausibilities from the probabilities of the classes, in the order of the classes.
+    ///
+    /// The probabilities must sum to 1. This function does not check or normalise them.
     #[must_use]
     pub fn from_probabilities(probabilities: &[f64]) -> Self {
         Self {
@@ -32,10 +35,13 @@ impl Plausibilities {
         }
     }
 
-    /// Updates the plausibilities with `ln p(z | D, C)` of every class and returns `ln p(z | D)`.
+    /// Updates the plausibilities with the log evidence `ln p(z | D, C)` of every class `C`.
+    /// Returns the log evidence `ln p(z | D)` of all classes. Here `z` is the measurement of this
+    /// frame and `D` are the data before it.
     ///
-    /// The evidence of a lost filter is minus infinity. No plausibility falls below `floor`; 0
-    /// means no floor. If every class is lost, nothing changes and the result is minus infinity.
+    /// The evidence of a diverged filter is minus infinity. No plausibility falls below `floor`; 0
+    /// means no floor. If every filter has diverged, nothing changes and the result is minus
+    /// infinity.
     pub fn update(&mut self, log_evidences: &[f64], floor: f64) -> f64 {
         let joint = self
             .logarithms

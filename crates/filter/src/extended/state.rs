@@ -63,9 +63,9 @@ impl FilterState {
         self.fit.as_ref().map_or(0, FitState::remembered_len)
     }
 
-    /// Returns the numbers of states and components of the excitation course.
+    /// Returns the numbers of states and of components in the statistics of the excitation.
     ///
-    /// Both are 0 if the filter has no excitation course or if its lengths disagree.
+    /// Both are 0 if the filter has no such statistics or if their lengths disagree.
     pub(super) fn course_shape(&self) -> (usize, usize) {
         self.excitation_course
             .as_ref()

@@ -9,7 +9,8 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Settings of the test that compares the nodes.
+/// Settings of the test that finds faulty nodes: it compares the parameters of each node with those
+/// of all other nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct GlobalDetector {
     /// Probability that the distance of a regular node stays below the limit, 0.95 in the source.

@@ -85,7 +85,8 @@ impl FeedbackRule {
 /// them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lineage {
-    /// Index of its own last answered message; 0 for the prior that all nodes share.
+    /// Index of the last message of the node that the station has answered; 0 for the prior that
+    /// all nodes share.
     pub own: u64,
     /// Messages whose feedback the node has applied since it sent message `own`.
     pub answers: Vec<u64>,

@@ -1,4 +1,4 @@
-//! Limits of the parameter means of a sound filter.
+//! Limits of the parameter means of a working filter.
 
 use crate::error::FilterError;
 use nalgebra::DVector;

@@ -96,7 +96,15 @@ pub struct StationState {
     fused: Information,
 }
 
-/// The central station: one density, and its knowledge of the nodes.
+/// The central station of distributed identification: it fuses the densities of all nodes.
+///
+/// [`Station::receive`] takes the messages of the nodes, and each fusion combines the messages
+/// since the previous one with the density of the station. All times are in fusion periods on the
+/// clock of the station, so the station reads no clock.
+///
+/// An invalid or old message is rejected and changes nothing. [`Station::state`] and
+/// [`Station::restore`] write and read a checkpoint, which excludes the messages since the last
+/// fusion.
 #[derive(Debug, Clone)]
 pub struct Station {
     settings: StationSettings,

@@ -4,7 +4,7 @@
 //! Each particle predicts `y^i = h(f(x^i, u, w), u)` with `w` from its prior. With the weights
 //! before the frame, the predicted mean is `ȳ = Σ W^i y^i`. Its covariance is
 //! `S = R + Σ W^i (y^i − ȳ)(y^i − ȳ)ᵀ`. The innovation is `ν = ŷ − ȳ`. While the particles follow
-//! the data, `νᵀ S⁻¹ ν` varies around the number of channels. If the particles have lost the state,
+//! the data, `νᵀ S⁻¹ ν` varies around the number of channels. If the particles have diverged,
 //! their predictions agree with each other but not with the frame. `νᵀ S⁻¹ ν` then grows without
 //! limit.
 

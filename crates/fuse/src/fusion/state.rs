@@ -8,9 +8,12 @@ use spandrel_filter::fusion::StationState;
 
 /// The state of a station after a fusion, as stored in a checkpoint.
 ///
-/// It excludes the clock and the numbers of the estimates. Both restart in each run, under a higher
-/// epoch. A clock that may have been set does not show how long fusion was interrupted. The
-/// interruption therefore counts as the half period up to the first fusion.
+/// It excludes the clock and the sequence numbers of the estimates. Both restart in each run, under
+/// a higher epoch.
+///
+/// The wall clock does not show how long fusion was interrupted, because it may have been adjusted.
+/// The interruption therefore counts as half a fusion period, the time from the first message to
+/// the first fusion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FusionState {
     epoch: u64,

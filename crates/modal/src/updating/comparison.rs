@@ -26,7 +26,8 @@ const MODEL_ERROR: f64 = 0.05;
 pub struct Comparison {
     /// Natural frequency of the model (Hz).
     pub model_hz: f64,
-    /// Its standard deviation (Hz), from the covariance of the stiffnesses.
+    /// Standard deviation of the natural frequency of the model (Hz), from the covariance of the
+    /// stiffnesses.
     pub model_std_hz: f64,
     /// Whether the 99.9 % intervals of both frequencies are apart by more than the error of a usable
     /// model, 5 %.

@@ -42,14 +42,15 @@ pub struct UpdateSettings {
     pub prior_std: Vec<f64>,
 }
 
-/// What the commissioning tells about the modes and stiffnesses.
+/// Reference of the modes and stiffnesses, learnt in the commissioning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UpdateReference {
     /// Number of epochs of the commissioning.
     pub epochs: usize,
     /// Calibrated ln of the stiffness of each part, relative to nominal.
     pub ln_stiffness: DVector<f64>,
-    /// Its standard deviation, with the error of the model.
+    /// Standard deviation of the calibrated ln of the stiffness of each part, including the error
+    /// of the model.
     pub ln_stiffness_std: DVector<f64>,
     /// In the order of the declared modes; `None` for a mode that is not used.
     pub(crate) modes: Vec<Option<ReferenceMode>>,
@@ -91,10 +92,12 @@ pub(crate) struct Predicted {
 impl UpdateReference {
     /// Learns the reference from the epochs of a commissioning.
     ///
-    /// Each epoch has the declared modes in the same order.
+    /// Each epoch lists the declared modes in the same order, with `None` for a mode that was not
+    /// found. The order is not checked.
     ///
     /// # Errors
-    /// No mode is present often enough and resembles one of the model, or a decomposition fails.
+    /// Returns an error if no mode is present often enough and resembles a mode of the model, or if
+    /// a decomposition fails.
     pub fn learn(
         model: &PartModel,
         settings: &UpdateSettings,

@@ -170,7 +170,7 @@ fn a_mode_that_is_not_declared_is_proposed_once_and_never_adopted() {
     assert_eq!(one.displays().len(), 1);
 }
 
-/// Most modes with such a damping ratio do not exist.
+/// Most modes with such a damping ratio are spurious.
 #[test]
 fn a_mode_with_an_uncertain_damping_ratio_is_neither_started_nor_proposed() {
     let uncertain = |frequency_hz| Mode {

@@ -279,8 +279,8 @@ fn envelope(samples: &[f64], mean: f64) -> Vec<(f64, f64)> {
     points
 }
 
-/// Returns the course of a stiffness over the record, with the interval of each window and the band
-/// that the earlier events predict for weak motion.
+/// Returns the history of a stiffness over the record, with the interval of each window. A band
+/// shows what the earlier events predict for weak motion.
 pub fn stiffness(report: &EventReport, parameter: &ParameterReport) -> String {
     const TOP: f64 = 18.0;
     const BOTTOM: f64 = 218.0;

@@ -32,9 +32,9 @@ pub struct ResponsePeak {
     pub name: String,
     /// Largest absolute value (SI).
     pub peak: f64,
-    /// Its standard deviation (SI).
+    /// Standard deviation of the largest value (SI).
     pub std: f64,
-    /// Its time since the first frame (s).
+    /// Time of the largest value, since the first frame (s).
     pub at_s: f64,
 }
 

@@ -129,7 +129,8 @@ pub struct ComparedEvent {
     pub name: EventName,
     /// Stiffness in weak motion (ratio to nominal). `None` if the record shows no weak motion.
     pub stiffness: Option<f64>,
-    /// Its interval within the record.
+    /// Interval of the stiffness within the record (ratio to nominal). `None` if the record shows
+    /// no weak motion.
     pub within: Option<Interval>,
     /// Softest moment of the shaking (ratio to nominal). `None` without shaking.
     pub softest: Option<f64>,
@@ -150,7 +151,7 @@ pub enum Source {
 pub struct ParameterReport {
     /// Name of the parameter, or of the whole structure.
     pub name: String,
-    /// Where it comes from.
+    /// Origin of the stiffness.
     pub source: Source,
     /// Course over the windows, as ln k.
     pub course: EventCourse,
@@ -169,7 +170,7 @@ pub struct ParameterReport {
 pub struct ReportSettings {
     /// Loss that matters (share).
     pub loss: f64,
-    /// Probability from which a loss is raised.
+    /// Probability of a loss at and above which the loss is raised, 0 to 1.
     pub credibility: f64,
     /// Peak of the response above which motion is strong (m/s²).
     pub strong_above_m_per_s2: f64,
@@ -207,7 +208,7 @@ pub struct EventReport {
     pub kind: &'static str,
     /// Name of the structure.
     pub structure: String,
-    /// Its description.
+    /// Description of the structure.
     pub description: String,
     /// The event.
     #[serde(flatten)]
@@ -222,7 +223,7 @@ pub struct EventReport {
     pub fundamental_hz: f64,
     /// What decides.
     pub settings: ReportSettings,
-    /// How soon an inspector is needed.
+    /// Urgency of an inspection after the event.
     pub urgency: Urgency,
     /// Rank of the urgency, 1 = most urgent.
     pub rank: u8,
@@ -240,7 +241,7 @@ pub struct EventReport {
     pub sensors: Vec<SensorReport>,
     /// Displacements and drifts of the model (m), or the responses of the structure file.
     pub responses: Vec<ResponsePeak>,
-    /// Why there are none.
+    /// Reason why there are no responses. `None` if there are any.
     pub no_responses: Option<&'static str>,
     /// Spectrum of each measured ground motion (m/s²).
     pub ground_spectra: Vec<GroundSpectrum>,

@@ -42,14 +42,14 @@ pub struct Analysis {
     pub bands: Vec<ModalSettings>,
     /// The epochs, whose spectra the diagrams show.
     pub epochs: Vec<LadderEpoch>,
-    /// For each epoch, the position of its recording.
+    /// Index of the recording of each epoch, from 0, in the order of `epochs`.
     pub recording: Vec<usize>,
     /// Modes of each epoch.
     pub record: RecordModes,
     /// Modes and machines of the recording.
     pub modes: Vec<ModeSummary>,
-    /// Number of modes that are not among `modes`, because their damping ratio is less than
-    /// [`CERTAIN_DAMPING`] standard deviations. Most of these do not exist.
+    /// Number of modes that are not among `modes`, because their damping ratio does not exceed
+    /// [`CERTAIN_DAMPING`] times its own standard deviation. Most of these modes are spurious.
     pub uncertain: usize,
     /// What the service `modes` would publish: the declared modes after each epoch, and events.
     pub declared: Vec<ModesOutput>,

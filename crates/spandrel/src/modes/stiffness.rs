@@ -64,7 +64,7 @@ fn parts(structure: &Structure, plan: &UpdatePlan) -> Vec<Part> {
 }
 
 impl StiffnessCourse {
-    /// Creates the course before the first epoch. `None` if natural frequencies update nothing.
+    /// Creates the history before the first epoch. `None` if natural frequencies update nothing.
     pub fn new(structure: &Structure) -> Option<Self> {
         let plan = structure.modal()?.update.as_ref()?;
         Some(Self {

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 /// Shares of the frames of one parameter since its reference was known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DecidedSummary {
-    /// Share of decided frames.
+    /// Share of frames with a decision, 0 to 1.
     pub share: f64,
     /// Share of undecided frames by reason, without reasons that have no frame.
     pub undecided: BTreeMap<UndecidedBecause, f64>,

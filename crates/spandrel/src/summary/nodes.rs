@@ -21,7 +21,7 @@ pub struct NodeSummary {
     pub excluded_since_s: Option<f64>,
     /// Spans of fusions without usable messages of the node.
     pub silent: Vec<Silence>,
-    /// Number of rejected samples of its channels. 0 if outliers are not screened.
+    /// Number of rejected samples of all channels of the node. 0 if outliers are not screened.
     pub rejected: u64,
     /// Number of rejected samples of each channel with any.
     pub rejected_by_channel: BTreeMap<String, u64>,

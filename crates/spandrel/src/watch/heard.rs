@@ -30,7 +30,7 @@ pub struct Heard {
 #[derive(Debug, Clone, Copy)]
 pub struct ParameterHeard<'h> {
     pub display: &'h ParameterDisplay,
-    /// Its loss. `None` without a rule, and before its reference is known.
+    /// Last loss of the parameter. `None` without a rule, and before the reference is known.
     pub loss: Option<&'h LossDisplay>,
     pub trail: &'h Trail,
 }

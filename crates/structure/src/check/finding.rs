@@ -30,13 +30,18 @@ pub enum Severity {
 }
 
 /// Error of one parameter (ratio to nominal) caused by a wrong value of another quantity.
+///
+/// The finding that contains the shift states the quantity and the factor by which its value is
+/// wrong.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Shift {
     /// Name of the parameter.
     pub parameter: String,
-    /// Shift if the true value is the stated value divided by the factor.
+    /// Shift of the estimate (ratio to nominal) if the true value of the other quantity is the
+    /// stated value divided by the factor.
     pub if_less: f64,
-    /// Shift if the true value is the stated value times the factor.
+    /// Shift of the estimate (ratio to nominal) if the true value of the other quantity is the
+    /// stated value times the factor.
     pub if_more: f64,
 }
 

@@ -104,7 +104,7 @@ impl Track {
     }
 }
 
-/// Number of resamplings, and mean effective share of the particles.
+/// Number of resamplings, and mean relative effective sample size of the particles.
 #[derive(Default)]
 struct Renewal {
     resampled: usize,

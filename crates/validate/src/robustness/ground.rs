@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::f64::consts::{PI, TAU};
 
-/// Spectrum of the ground acceleration and its course between samples.
+/// Spectrum of the ground acceleration, and how it varies between samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Spectrum {
     /// Independent at every sample, with linear interpolation between samples.

@@ -29,7 +29,7 @@ pub use row::Row;
 
 use std::path::Path;
 
-/// Which runs of the real records.
+/// Selection of the runs of the real records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
     /// The records as they are, also with a wrong file.
@@ -38,7 +38,10 @@ pub enum Extent {
     FaultySensors,
 }
 
-/// Runs the real records below `data`, and calls `done` with each row as soon as it is complete.
+/// Identifies the structures from the real records below `data`, and returns one row per case.
+///
+/// Calls `done` with each row, in the order of the result, once the row is available. Missing
+/// records are skipped.
 ///
 /// # Errors
 /// Returns an error if an existing record cannot be read or identified.
