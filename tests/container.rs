@@ -127,9 +127,10 @@ fn the_command_of_the_image_starts_with_its_files_and_stops_in_order() {
     std::fs::create_dir(&state).unwrap();
     assert_eq!(words(&all("ENTRYPOINT")[0]), ["/usr/local/bin/spandrel"]);
     assert_eq!(all("STOPSIGNAL"), ["SIGTERM"]);
+    // Regression: without a folder for the temporary files of SQLite, the history lost values.
     assert_eq!(
         all("ENV"),
-        [format!("STATE_DIRECTORY={}", all("VOLUME")[0])]
+        ["STATE_DIRECTORY", "SQLITE_TMPDIR"].map(|name| format!("{name}={}", all("VOLUME")[0]))
     );
     let here =
         |word: &String| word.replace(CONFIGURATION, &format!("{}/", folder.path().display()));

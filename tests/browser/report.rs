@@ -74,7 +74,7 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     assert_eq!(changed.expect(of_monitoring)[1], "Monitoring");
     // Regression: the words of the threshold covered the estimates, which are above it.
     let below = "[...document.querySelectorAll('.bound-text')].map((words) => words.getBBox().y >= Number(words.previousSibling.getAttribute('y1')))";
-    assert_eq!(browser.evaluate(below).await, json!([true; 5]));
+    assert_eq!(browser.evaluate(below).await, json!(vec![true; 5]));
 
     // In print, the form and the bar are hidden, and colours are those of paper.
     let print = json!({"media": "print"});
