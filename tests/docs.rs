@@ -378,7 +378,7 @@ fn the_limits_of_a_restart_apply_only_without_a_state_folder() {
 fn the_tutorial_agrees_with_its_structure_file_about_the_sensors() {
     let start = page("start.md");
     let (_, file) = start.split_once("house.toml <<'END'\n").unwrap();
-    let (file, after) = file.split_once("\nEND\n").unwrap();
+    let (file, _) = file.split_once("\nEND\n").unwrap();
     let file: toml::Table = file.parse().unwrap();
     let channels = file["node"].as_array().unwrap().iter();
     let channels = channels.flat_map(|node| node["channel"].as_array().unwrap());
@@ -386,7 +386,7 @@ fn the_tutorial_agrees_with_its_structure_file_about_the_sensors() {
         .filter_map(|channel| channel.get("dof")?.as_str())
         .collect();
     assert_eq!(measured, ["floor-1", "floor-3"].into());
-    let text = prose(after)
+    let text = prose(&start)
         .split_whitespace()
         .collect::<Vec<_>>()
         .join(" ");
