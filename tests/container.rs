@@ -68,6 +68,21 @@ fn the_image_copies_existing_files_and_runs_without_privileges() {
         last.contains("distroless") && last.ends_with(":nonroot"),
         "the image is made from {last}"
     );
+    // The base image has no C library, so the program must be static.
+    let built = all("RUN").into_iter().find(|run| run.starts_with("cargo "));
+    let built = built.expect("a command that builds the program");
+    assert!(
+        last.contains("/static-") && built == super::package::build_of_the_readme(),
+        "{last}, {built}"
+    );
+    let program = format!("/release/spandrel {}", words(&all("ENTRYPOINT")[0])[0]);
+    let copies = all("COPY");
+    let copied = copies.iter().find(|copy| copy.ends_with(&program));
+    let target = super::package::TARGET;
+    assert!(
+        copied.is_some_and(|copy| copy.contains(target)),
+        "{copies:?}"
+    );
     // The image and the repository use the same compiler.
     let toolchain = std::fs::read_to_string(root().join("rust-toolchain.toml")).unwrap();
     let compiler = all("FROM")[0]
@@ -112,9 +127,10 @@ fn the_command_of_the_image_starts_with_its_files_and_stops_in_order() {
     std::fs::create_dir(&state).unwrap();
     assert_eq!(words(&all("ENTRYPOINT")[0]), ["/usr/local/bin/spandrel"]);
     assert_eq!(all("STOPSIGNAL"), ["SIGTERM"]);
+    // Regression: without a folder for the temporary files of SQLite, the history lost values.
     assert_eq!(
         all("ENV"),
-        [format!("STATE_DIRECTORY={}", all("VOLUME")[0])]
+        ["STATE_DIRECTORY", "SQLITE_TMPDIR"].map(|name| format!("{name}={}", all("VOLUME")[0]))
     );
     let here =
         |word: &String| word.replace(CONFIGURATION, &format!("{}/", folder.path().display()));

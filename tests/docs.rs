@@ -1,7 +1,13 @@
 //! Tests of the documentation: every link has a target, every page is in the book, the command-line
-//! page matches the program, and the table of crates matches the workspace.
+//! page matches the program, the table of crates matches the workspace, and no page contradicts the
+//! program or itself about encodings, restarts and sensors.
 
 use serde_json::Value;
+use spandrel_bus::{
+    Acknowledgement, AlertMessage, Annotation, EstimateBlock, Event, FeedbackMessage, Format,
+    FrameBlock, LocalMessage, LossDisplay, Maintenance, Message, NoiseDisplay, ParameterDisplay,
+    Progress, SampleBlock, StateMessage, Status,
+};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -300,4 +306,92 @@ fn the_table_of_crates_lists_the_workspace_and_its_dependencies() {
         wrong.is_empty(),
         "table Crates of docs/architecture.md, compared with cargo metadata:\n{wrong}"
     );
+}
+
+/// Returns the page below `docs/`.
+fn page(name: &str) -> String {
+    std::fs::read_to_string(root().join("docs").join(name)).unwrap()
+}
+
+/// Checks that a table of topics names the accepted formats of a message.
+fn assert_format_is_stated<M: Message>(topics: &str) {
+    let expected = match M::ACCEPTED {
+        [Format::Postcard] => "postcard",
+        [Format::Json] => "JSON",
+        _ => "postcard or [JSON](#samples-as-json)",
+    };
+    let link = format!("[{}](#", M::TYPE);
+    let rows = topics.lines().filter(|line| line.starts_with("| `"));
+    let rows = rows.map(|line| line.split(" | ").collect::<Vec<_>>());
+    let row = rows
+        .into_iter()
+        .find(|row| row.len() == 5 && row[4].starts_with(&link));
+    let row = row.unwrap_or_else(|| panic!("docs/topics.md has no topic of {}", M::TYPE));
+    assert_eq!(row[3], expected, "{}", M::TYPE);
+}
+
+/// Regression test: the page said that JSON is accepted everywhere.
+#[test]
+fn the_page_of_topics_states_which_messages_are_accepted_as_json() {
+    let topics = page("topics.md");
+    assert_format_is_stated::<SampleBlock>(&topics);
+    assert_format_is_stated::<FrameBlock>(&topics);
+    assert_format_is_stated::<EstimateBlock>(&topics);
+    assert_format_is_stated::<LocalMessage>(&topics);
+    assert_format_is_stated::<FeedbackMessage>(&topics);
+    assert_format_is_stated::<StateMessage>(&topics);
+    assert_format_is_stated::<Progress>(&topics);
+    assert_format_is_stated::<ParameterDisplay>(&topics);
+    assert_format_is_stated::<LossDisplay>(&topics);
+    assert_format_is_stated::<NoiseDisplay>(&topics);
+    assert_format_is_stated::<AlertMessage>(&topics);
+    assert_format_is_stated::<Acknowledgement>(&topics);
+    assert_format_is_stated::<Maintenance>(&topics);
+    assert_format_is_stated::<Annotation>(&topics);
+    assert_format_is_stated::<Event>(&topics);
+    assert_format_is_stated::<Status>(&topics);
+    // The text below the table does not extend this to the messages in postcard.
+    let plain = "Receivers of messages in JSON also accept plain `application/json`";
+    let text = topics.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(text.contains(plain), "docs/topics.md lacks: {plain}");
+}
+
+/// Regression test: the page said that the alert service learns again after every restart.
+#[test]
+fn the_limits_of_a_restart_apply_only_without_a_state_folder() {
+    let limits = page("limits.md");
+    let items: Vec<String> = prose(&limits)
+        .split("\n- ")
+        .map(|item| item.split_whitespace().collect::<Vec<_>>().join(" "))
+        .collect();
+    let of_alert: Vec<&String> = items
+        .iter()
+        .filter(|item| item.contains("alert service loses"))
+        .collect();
+    assert_eq!(of_alert.len(), 1, "{of_alert:?}");
+    let condition = "Without a [state folder](reliability.md), ";
+    assert!(of_alert[0].starts_with(condition), "{}", of_alert[0]);
+}
+
+/// Regression test: the page contradicted its own structure file about a sensor.
+#[test]
+fn the_tutorial_agrees_with_its_structure_file_about_the_sensors() {
+    let start = page("start.md");
+    let (_, file) = start.split_once("house.toml <<'END'\n").unwrap();
+    let (file, _) = file.split_once("\nEND\n").unwrap();
+    let file: toml::Table = file.parse().unwrap();
+    let channels = file["node"].as_array().unwrap().iter();
+    let channels = channels.flat_map(|node| node["channel"].as_array().unwrap());
+    let measured: BTreeSet<&str> = channels
+        .filter_map(|channel| channel.get("dof")?.as_str())
+        .collect();
+    assert_eq!(measured, ["floor-1", "floor-3"].into());
+    let text = prose(&start)
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ");
+    let words = "although the second floor has no sensor";
+    assert!(text.contains(words), "docs/start.md lacks: {words}");
+    let description = file["structure"]["description"].as_str().unwrap();
+    assert!(description.ends_with("in the cellar, on the first floor and on the roof"));
 }

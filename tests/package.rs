@@ -11,6 +11,37 @@ fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
+/// Target of a static program.
+pub const TARGET: &str = "x86_64-unknown-linux-musl";
+
+/// Returns the commands of deploy/README.md that begin with some words.
+fn commands(start: &str) -> Vec<String> {
+    let text = read(&crate_folder().join("../../deploy/README.md"));
+    let lines = text.lines().map(str::trim);
+    let found = lines.filter(|line| line.starts_with(start));
+    found.map(str::to_owned).collect()
+}
+
+/// Returns the command of deploy/README.md that builds the program.
+pub fn build_of_the_readme() -> String {
+    let [build] = &commands("cargo build ")[..] else {
+        panic!("deploy/README.md does not build the program exactly once");
+    };
+    build.clone()
+}
+
+/// Regression test: the documented program required the C library of the machine that built it.
+#[test]
+fn the_documented_program_and_package_are_static() {
+    let option = format!("--target {TARGET}");
+    for command in [build_of_the_readme(), commands("cargo deb ").concat()] {
+        assert!(command.contains(&option), "{command}");
+    }
+    let install = commands("sudo install -m 755 target/").concat();
+    assert!(install.contains(&format!("target/{TARGET}/")), "{install}");
+    assert_eq!(commands(&format!("rustup target add {TARGET}")).len(), 2);
+}
+
 #[test]
 fn the_package_has_all_its_files_and_keeps_the_configuration_of_the_owner() {
     let manifest: toml::Table = read(&crate_folder().join("Cargo.toml")).parse().unwrap();

@@ -100,9 +100,22 @@ async fn recordings_checkpoints_and_history_are_for_their_owner_alone() {
     bus.close().await.unwrap();
     services.stop().expect_code(0);
     let found = files(&state);
-    for kind in ["mcap", "checkpoint", "sqlite"] {
+    // Regression: the page said that `run` writes no file.
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/operations.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let (_, told) = page.split_once("\n`run` writes ").unwrap();
+    let (told, _) = told.split_once('.').unwrap();
+    for (kind, word) in [
+        ("mcap", "recording"),
+        ("checkpoint", "checkpoints"),
+        ("sqlite", "database"),
+    ] {
         let has = |path: &PathBuf| path.extension().is_some_and(|extension| extension == kind);
         assert!(found.iter().any(has), "no {kind} among {found:?}");
+        assert!(
+            told.contains(word),
+            "docs/operations.md: `run` writes {told}"
+        );
     }
     for path in found {
         let mode = path.metadata().unwrap().mode() & 0o777;

@@ -9,8 +9,10 @@ const PACKED_SINCE: (u32, u32) = (2, 36);
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     // The table of relocations takes three megabytes, all of which the start reads into memory.
-    // Packed, it takes some kilobytes. An older glibc refuses to start such a program.
-    if glibc().is_some_and(|found| found >= PACKED_SINCE) {
+    // Packed, it takes some kilobytes. An older glibc refuses to start such a program. A static
+    // program contains the musl of the toolchain, which can load packed relocations.
+    let is_musl = env::var("CARGO_CFG_TARGET_ENV").is_ok_and(|found| found == "musl");
+    if is_musl || glibc().is_some_and(|found| found >= PACKED_SINCE) {
         println!("cargo:rustc-link-arg-bins=-Wl,-z,pack-relative-relocs");
     }
 }

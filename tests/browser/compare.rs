@@ -203,6 +203,11 @@ async fn structures_without_alert_rules_are_shown() {
             "#/structure/demo",
             "document.querySelector('.parameters tbody tr td')?.textContent === '– no alert rule'",
         ),
+        // Regression: each part was crossed by a dash without a meaning.
+        (
+            "#/structure/demo",
+            "document.querySelectorAll('.drawing .inside').length === 5 && [...document.querySelectorAll('.drawing .inside')].every(({ textContent }) => textContent === '')",
+        ),
         (
             "#/structure/demo/parameters",
             "document.querySelector('#plot-parameter-storey-1 canvas')",

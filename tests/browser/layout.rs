@@ -2,7 +2,7 @@
 //! Another test checks that the page shows its connection immediately.
 
 use super::{Program, browser, free_address};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::Path;
 
 pub(super) fn example(name: &str) -> String {
@@ -48,6 +48,111 @@ async fn the_page_shows_that_it_is_connected_from_the_first_message_on() {
         });
       })()";
     assert_eq!(browser.evaluate(told).await, true);
+}
+
+/// Regression test: names broke at their hyphens on a phone, and units were on the line after their
+/// number. Signs of the key were on the line before their word.
+#[tokio::test(flavor = "multi_thread")]
+async fn short_names_and_values_do_not_break_at_the_end_of_a_line() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    browser
+        .wait(
+            "the end of the demo",
+            "document.body.innerText.includes('no new data')",
+        )
+        .await;
+    let words = r"(() => {
+        const walker = document.createTreeWalker(document.getElementById('main'), NodeFilter.SHOW_TEXT);
+        const found = [];
+        while (walker.nextNode()) {
+          const { data, parentElement: parent } = walker.currentNode;
+          if (!parent.checkVisibility() || parent.closest('svg, option')) continue;
+          for (const { 0: word, index } of data.matchAll(/[\d.,]+ (?:%|± [\d.,]+|(?:ms|s|min|h|Hz)(?![\p{L}\d]))|[^\s-]\S*-\S+/gu)) {
+            const range = document.createRange();
+            range.setStart(walker.currentNode, index);
+            range.setEnd(walker.currentNode, index + word.length);
+            const lines = new Set([...range.getClientRects()].map(({ top }) => Math.round(top)));
+            if (word.length <= 22) found.push({ word, isBroken: lines.size > 1 });
+          }
+        }
+        return found;
+      })()";
+    for (tab, shown) in [
+        ("", ".structure-card"),
+        ("structure/demo", "#panel-now .parameters tbody tr"),
+        (
+            "structure/demo/compare",
+            "#panel-compare .differences tbody tr",
+        ),
+        ("structure/demo/sensors", "#panel-sensors .levels tbody tr"),
+        ("structure/demo/events", "#panel-events .events tbody tr"),
+        ("structure/demo/settings", "#panel-settings .rules tbody tr"),
+        ("alerts", ".alert"),
+        ("report", ".report[data-state=complete]"),
+    ] {
+        browser
+            .evaluate(&format!("location.hash = '#/{tab}'"))
+            .await;
+        let shown = format!(
+            "document.querySelector('{shown}')?.checkVisibility() && {words}.some(({{ word }}) => word.endsWith('storey-2'))"
+        );
+        browser.wait(tab, &shown).await;
+        // Each width breaks the lines at other words.
+        for width in (320..560).step_by(16) {
+            browser.resize(width, 844).await;
+            let broken =
+                format!("{words}.filter(({{ isBroken }}) => isBroken).map(({{ word }}) => word)");
+            let broken = browser.evaluate(&broken).await;
+            assert_eq!(broken, json!([]), "{tab}, {width} pixels");
+        }
+    }
+    // A copy contains the plain characters.
+    let copied = "(() => { getSelection().selectAllChildren(document.getElementById('main')); return getSelection().toString(); })()";
+    let copied = browser.evaluate(copied).await;
+    let copied = copied.as_str().unwrap();
+    assert!(
+        copied.contains("storey-2 has lost") && copied.contains(" % of its stiffness"),
+        "{copied}"
+    );
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// Regression test: the names of all sensors filled the card of a structure.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_card_names_four_sensors_and_has_the_others_in_its_title() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser
+        .open(&format!("{}#/structure/demo", demo.page))
+        .await;
+    let link = "document.querySelector('.facts-line a')";
+    browser.wait("the count of sensors", link).await;
+    browser.evaluate(&format!("{link}.click()")).await;
+    browser
+        .wait(
+            "the table of sensors",
+            "document.querySelector('#panel-sensors:not([hidden]) #sensors tbody tr')",
+        )
+        .await;
+    let card = "(async () => {
+        const { OverviewPage } = await import('/overview.js');
+        const page = new OverviewPage({ listen() {}, on: () => () => {} });
+        const troubled = Array.from({ length: 26 }, (_, index) => `acceleration-${index + 1}`);
+        page.show({ structures: [{ name: 'tower', description: '', sentence: '', level: 'warning', has_model: true, age_s: 0, sensors: { alive: 1, total: 27, troubled } }] });
+        const shown = page.element.querySelector('.fact-sensors dd');
+        return [shown.textContent, shown.title === troubled.join(', ')];
+      })()";
+    let first: Vec<String> = (1..=4)
+        .map(|number| format!("acceleration-{number}"))
+        .collect();
+    let text = format!("1 of 27 · check: {}; and 22 more", first.join(", "));
+    assert_eq!(browser.evaluate(card).await, json!([text, true]));
 }
 
 /// Regression test: a card without a plot was shown as an empty box.

@@ -64,7 +64,17 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     let sensors = browser.evaluate(&rows("Sensors")).await;
     assert_eq!(sensors.as_array().unwrap().len(), 6);
     let events = browser.evaluate(&rows("No event is known.")).await;
-    assert!(!events.as_array().unwrap().is_empty());
+    let events = events.as_array().unwrap();
+    assert!(!events.is_empty());
+    // Regression: changes of the monitoring were about "watching".
+    let of_monitoring = "the monitoring changed from blind to watching";
+    let changed = events
+        .iter()
+        .find(|event| event[2].as_str().unwrap().starts_with(of_monitoring));
+    assert_eq!(changed.expect(of_monitoring)[1], "Monitoring");
+    // Regression: the words of the threshold covered the estimates, which are above it.
+    let below = "[...document.querySelectorAll('.bound-text')].map((words) => words.getBBox().y >= Number(words.previousSibling.getAttribute('y1')))";
+    assert_eq!(browser.evaluate(below).await, json!(vec![true; 5]));
 
     // In print, the form and the bar are hidden, and colours are those of paper.
     let print = json!({"media": "print"});

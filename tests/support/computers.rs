@@ -7,7 +7,8 @@
 //!
 //! Some commands are replaced, because they need a real machine. `systemctl` starts the command of
 //! a unit with its credentials, its folder and its readiness message, but without its sandbox.
-//! `scp` copies between folders. The results of `cargo build` and `apt-get install` already exist.
+//! `scp` copies between folders. The results of `cargo build` and `apt-get install` already exist. The
+//! program is that of the tests, which is not static.
 
 use super::{DEADLINE, Lab, Process, spandrel};
 use std::collections::BTreeMap;
@@ -31,7 +32,7 @@ const SUDO: &str = "#!/bin/sh\nif [ \"$1\" = -u ]; then user=$2; shift 2; \
 /// Search path for programs on a computer.
 const PATH: &str = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin";
 /// Commands whose results already exist.
-const PROVIDED: [&str; 2] = ["cargo build ", "sudo apt-get "];
+const PROVIDED: [&str; 3] = ["cargo build ", "rustup ", "sudo apt-get "];
 
 /// One block of commands.
 #[derive(Debug, Clone)]
@@ -98,15 +99,12 @@ impl Computers {
                 .arg(home.join("etc")),
         );
         let source = home.join("source");
-        std::fs::create_dir_all(source.join("target/release")).unwrap();
+        let built = source.join("target/x86_64-unknown-linux-musl/release");
+        std::fs::create_dir_all(&built).unwrap();
         for folder in ["deploy", "docs"] {
             symlink(root().join(folder), source.join(folder)).unwrap();
         }
-        symlink(
-            spandrel("").get_program(),
-            source.join("target/release/spandrel"),
-        )
-        .unwrap();
+        symlink(spandrel("").get_program(), built.join("spandrel")).unwrap();
         let sudo = home.join("usr/local/bin/sudo");
         std::fs::write(&sudo, SUDO).unwrap();
         std::fs::set_permissions(&sudo, Permissions::from_mode(0o755)).unwrap();

@@ -13,6 +13,11 @@ export function place(structure, parameter, seconds) {
   return address(structure, parameter ? "parameters" : null, query);
 }
 
+/** Returns the address of the table of a structure's sensors. */
+export function sensorsOf(structure) {
+  return address(structure, "sensors", new URLSearchParams());
+}
+
 /** Returns the address of the year of a judged quantity. */
 export function judged(structure, quantity) {
   return address(structure, "lasting", new URLSearchParams({ quantity }));

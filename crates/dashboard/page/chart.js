@@ -11,6 +11,8 @@ const [WIDTH, HEIGHT] = [360, 150];
 const ROOM = { left: 44, right: 8, bottom: 30, top: 8 };
 /** Height of a row of labels, and width of a character, above the plotted area. */
 const [ROW, CHARACTER] = [11, 5.2];
+/** Distance of the words of a threshold below its line. Above it are the estimates of sound parts. */
+const BOUND_BELOW = 10;
 /** Minimum gap, in usual steps, that a line does not cross. */
 const HOLE_STEPS = 8;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
@@ -82,7 +84,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
     }
     if (hasPoints) rows.forEach((row) => svg.append(s("circle", { class: "dot", cx: x(times[row]), cy: y(means[row]), r: 1.6 })));
   }
-  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", x: ROOM.left + 3, y: y(bound.y) - 3 }, bound.text));
+  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", x: ROOM.left + 3, y: y(bound.y) + BOUND_BELOW }, bound.text));
   for (const { at, row, text, from, colour } of told) {
     const line = s("line", { class: "moment", x1: ROOM.left + at, x2: ROOM.left + at, y1: row < 0 ? top : top - (row + 1) * ROW + 2, y2: bottom });
     line.style.stroke = `var(${colour})`;

@@ -1,7 +1,7 @@
 // The structure and its sensors as described by the structure file, coloured by probability of
 // loss.
 
-import { h, s, setAttribute, setText } from "./dom.js";
+import { h, s, setAttribute, setText, whole } from "./dom.js";
 import { t } from "./language.js";
 import { HEALTH, STATES, STEPS, isUndecided, probability, sensorName, step } from "./words.js";
 
@@ -91,7 +91,7 @@ export class Drawing {
       setText(part.title, `${part.name}: ${part.parameters.length === 0 ? names : isOpen ? `${names}, ${told}` : t("part-probability-of-loss", names, told)}`);
       if (part.label) {
         const isFound = worst !== null && worst >= 0.5;
-        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, told) : "");
+        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, worst === null && !isOpen ? "" : told) : "");
       }
     }
     this.#callOut(found);
@@ -339,7 +339,8 @@ function key({ drawing: { sensors }, has_model: hasModel }, note) {
     "figcaption",
     { class: "drawing-key" },
     hasModel ? [h("span", {}, t("key-probability-of-loss")), h("ul", {}, steps)] : null,
-    h("span", {}, t("sensors-delivers-gone-or-silent-faulty-excluded")),
+    // A sign stays on the line of its word.
+    h("span", {}, t("sensors-delivers-gone-or-silent-faulty-excluded").split("  ").flatMap((one) => [whole(one), " "])),
     h("span", {}, note, apart.length > 0 ? t("not-drawn", apart.join(", ")) : null),
   );
 }

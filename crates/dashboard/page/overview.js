@@ -185,6 +185,7 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   const more = further > 0 ? t("and-more", further) : "";
   const troubled = named.length > 0 ? t("not", named.join(", ") + more) : "";
   setText(fields.sensors, t("share", sensors.alive, sensors.total) + troubled);
+  fields.sensors.title = sensors.troubled.join(", ");
   // Natural frequencies alone have no worst part.
   for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.has_model;
   setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));

@@ -157,7 +157,7 @@ async function fetchPoints({ name, parameters, modes, conditions }, from_s, to_s
 /** Returns the changes of alerts and the events, the oldest first. */
 function eventsOf({ events }, changes) {
   const ofAlert = ({ parameter, state, time_ns, why, acknowledged_by: who, note }) => ({ time_s: time_ns / 1e9, about: parameter, what: `${STATES[state].sign} ${STATES[state].word}`, why: who ? t("change-seen-by", why, who, note ? `: ${note}` : "") : why, level: STATES[state].level, isListed: LISTED.includes(state) });
-  const ofEvent = ({ subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, about: subject, what, why, level: "learning", isListed: true, lang: SERVICES });
+  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, about: kind === "monitoring" ? t("monitoring") : subject, what, why, level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
 }
 

@@ -16,7 +16,7 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, canBeSeen, fitWord, lag, place, reportOf, setSentence, spanOf, time, wordOf } from "./words.js";
+import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, canBeSeen, fitWord, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -177,8 +177,13 @@ export class StructurePage {
     showNow(parts.now, overview.now, overview.age_s);
     showAcknowledged(parts.seen, overview);
     showStale(parts.stale, overview);
-    const facts = [t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
-    keyed(parts.facts, facts, (text) => facts.indexOf(text), () => ({ element: h("span") }), ({ element }, text) => setSentence(element, text));
+    const alive = t("sensors-alive-of", sensors.alive, sensors.total);
+    const facts = [t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), alive, ...(overview.has_model ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
+    keyed(parts.facts, facts, (text) => facts.indexOf(text), (text) => ({ element: text === alive ? h("a", { href: sensorsOf(this.name) }) : h("span") }), ({ element }, text) => {
+      setSentence(element, text);
+      // The sentence names only some of many.
+      if (text === alive) element.title = sensors.troubled.join(", ");
+    });
     keyed(
       parts.actions,
       raised,

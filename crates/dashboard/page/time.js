@@ -1,6 +1,6 @@
 // Times: the zone in which the page shows them, and all of their formats.
 
-import { h } from "./dom.js";
+import { unbroken, whole } from "./dom.js";
 import { fixed, inLanguage, t } from "./language.js";
 
 /** Key of the chosen zone in local storage. */
@@ -98,8 +98,8 @@ export function duration(seconds) {
 }
 
 /**
- * Shows a sentence with its times in the shown zone. The server writes times in UTC. No time breaks
- * at the end of a line.
+ * Shows a sentence with its times in the shown zone. The server writes times in UTC. No time and no
+ * short name breaks at the end of a line.
  */
 export function setSentence(element, text) {
   const told = `${local} ${text}`;
@@ -110,10 +110,10 @@ export function setSentence(element, text) {
   for (const { 0: stamp, index } of text.matchAll(STAMP)) {
     const seconds = Date.parse(stamp.replace(" ", "T").replace(" UTC", "Z")) / 1000;
     const shown = stamp.endsWith("UTC") && Number.isFinite(seconds) ? written(seconds, moment(seconds).date) : stamp;
-    pieces.push(withMinus(text.slice(end, index)), h("span", { class: "whole" }, shown));
+    pieces.push(...unbroken(withMinus(text.slice(end, index))), whole(shown));
     end = index + stamp.length;
   }
-  element.replaceChildren(...pieces, withMinus(text.slice(end)));
+  element.replaceChildren(...pieces, ...unbroken(withMinus(text.slice(end))));
 }
 
 /** Returns a text with a minus sign before negative numbers. Names with hyphens stay as they are. */

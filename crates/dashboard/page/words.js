@@ -182,6 +182,15 @@ export function number(value) {
   return typeset(String(Number(value.toPrecision(4))));
 }
 
+/**
+ * Formats a measured value with three significant digits, also if they are zeros, so that the values of
+ * a table can be compared.
+ */
+function measured(value) {
+  const size = Math.abs(value);
+  return size >= 1e-3 && size < 1e3 ? typeset(value.toPrecision(3)) : number(value);
+}
+
 /** Returns a number as people read it, with a minus sign and a power of ten: −1.25·10⁻⁴. */
 export function typeset(text) {
   const [digits, exponent] = text.split("e");
@@ -258,8 +267,8 @@ export function clockWords(clock, isReported) {
 /** Returns the samples of the last minute of a sensor, in the columns of their table. */
 export function levelWords(level, of) {
   if (!level) return ["–", "–", "–", "–", "–"];
-  const values = [level.mean, level.rms, level.peak].map((value) => `${number(value)} ${unit(of)}`);
-  return [number(level.rate_hz), ...values, `${number(level.last)} ${unit(of)}, ${time(level.last_s)}`];
+  const values = [level.mean, level.rms, level.peak].map((value) => `${measured(value)} ${unit(of)}`);
+  return [number(level.rate_hz), ...values, `${measured(level.last)} ${unit(of)}, ${time(level.last_s)}`];
 }
 
 /** Returns the level, sign and words of a condition, such as a temperature. */

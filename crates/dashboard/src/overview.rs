@@ -13,6 +13,8 @@ use spandrel_earthquake::urgency::{Dated, ranking};
 use spandrel_structure::Coordinates;
 use std::time::Duration;
 
+/// Maximum number of sensors that a sentence names. The page lists all of them in its table.
+const SENSORS_NAMED: usize = 4;
 /// Time after which a structure without any data counts as stale. Before, it may still be starting.
 const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 
@@ -362,6 +364,19 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
 }
 
+/// Lists names in words, at most [`SENSORS_NAMED`] of them.
+fn listed(names: &[impl AsRef<str>]) -> String {
+    let shown: Vec<&str> = names
+        .iter()
+        .take(SENSORS_NAMED)
+        .map(AsRef::as_ref)
+        .collect();
+    match names.len() - shown.len() {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
 /// Returns the report on the monitoring if a sensor is the cause.
 fn sensor_trouble(store: &Store) -> Option<&MonitoringDisplay> {
     let display = store.state.monitoring()?;
@@ -379,12 +394,7 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
             .map(|first| with_others(store, first))
     };
     let is_unused = |channel: &&String| !sensors.doubtful.contains(*channel);
-    let unused: Vec<&str> = sensors
-        .troubled
-        .iter()
-        .filter(is_unused)
-        .map(String::as_str)
-        .collect();
+    let unused: Vec<&String> = sensors.troubled.iter().filter(is_unused).collect();
     let results = match store.about.has_model {
         true => "estimates",
         false => "natural frequencies",
@@ -392,11 +402,11 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
     let unused = (!unused.is_empty()).then(|| {
         format!(
             "not used: {}; the {results} use the other sensors",
-            unused.join(", ")
+            listed(&unused)
         )
     });
     let doubtful = (!sensors.doubtful.is_empty())
-        .then(|| format!("probably faulty: {}", sensors.doubtful.join(", ")));
+        .then(|| format!("probably faulty: {}", listed(&sensors.doubtful)));
     let troubled: Vec<String> = [unused, doubtful].into_iter().flatten().collect();
     let troubled = (!troubled.is_empty()).then(|| troubled.join("; "));
     // The report on the monitoring also covers channels that lose only some of their samples.

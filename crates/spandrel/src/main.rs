@@ -38,7 +38,7 @@ use tracing::warn;
 ///
 /// This allocator returns it, after the time set in `.cargo/config.toml`. It is also faster for
 /// blocks that one thread allocates and another frees.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[cfg(target_os = "linux")]
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;
 

@@ -271,27 +271,28 @@ fn what_somebody_should_look_at_is_told_when_data_stop() {
     assert_eq!(overview(&store).sentence, format!("{all}{as_it_was}"));
 }
 
+fn health(channel: &str, state: Soundness) -> Input {
+    Input::SensorHealth(SensorHealthDisplay {
+        structure: name("demo"),
+        node: name(channel),
+        time_ns: 1,
+        channels: vec![ChannelHealthDisplay {
+            channel: name(channel),
+            state,
+            probability: 0.9,
+            fault: Some(FaultKind::Gain),
+            gain: Some(0.8),
+            delay_s: Some(0.0),
+            coherence: Some(0.9),
+        }],
+    })
+}
+
 /// The samples of a sensor in doubt are used. The sentence said that they are not.
 #[test]
 fn sensor_in_doubt_is_not_named_as_unused() {
     let mut store = demo();
     hear(&mut store, "storey-2", 1, 1.0, 0.0);
-    let health = |channel: &str, state: Soundness| {
-        Input::SensorHealth(SensorHealthDisplay {
-            structure: name("demo"),
-            node: name(channel),
-            time_ns: 1,
-            channels: vec![ChannelHealthDisplay {
-                channel: name(channel),
-                state,
-                probability: 0.9,
-                fault: Some(FaultKind::Gain),
-                gain: Some(0.8),
-                delay_s: Some(0.0),
-                coherence: Some(0.9),
-            }],
-        })
-    };
     store.handle(health("ground", Soundness::InDoubt));
     let found = overview(&store);
     assert_eq!(found.sentence, "probably faulty: ground");
@@ -300,6 +301,25 @@ fn sensor_in_doubt_is_not_named_as_unused() {
     store.handle(health("floor-1", Soundness::Faulty));
     let both = "not used: floor-1; the estimates use the other sensors; probably faulty: ground";
     assert_eq!(overview(&store).sentence, both);
+}
+
+/// Regression test: the sentence was a list of all sensors, however many.
+#[test]
+fn sentence_names_four_sensors_and_counts_the_others() {
+    let mut store = demo();
+    hear(&mut store, "storey-2", 1, 1.0, 0.0);
+    let sensors = store.about.drawing.sensors.iter();
+    let channels: Vec<String> = sensors.map(|sensor| sensor.channel.clone()).collect();
+    for channel in &channels {
+        store.handle(health(channel, Soundness::Faulty));
+    }
+    let found = overview(&store);
+    let [a, b, c, d, rest @ ..] = &channels[..] else {
+        panic!("too few channels: {channels:?}");
+    };
+    let named = format!("not used: {a}, {b}, {c}, {d} and {} more; ", rest.len());
+    assert!(found.sentence.starts_with(&named), "{}", found.sentence);
+    assert_eq!(found.sensors.troubled, channels);
 }
 
 /// Four seconds of estimates in which the third channel was never used.
