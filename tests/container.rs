@@ -63,7 +63,16 @@ fn the_image_copies_existing_files_and_runs_without_privileges() {
         );
     }
     assert_eq!(all("USER"), ["65532:65532"]);
+    for from in all("FROM") {
+        let (_, digest) = from.split_once("@sha256:").expect("an image by digest");
+        let digest = digest.split_whitespace().next().unwrap();
+        assert!(
+            digest.len() == 64 && digest.bytes().all(|byte| byte.is_ascii_hexdigit()),
+            "{from}"
+        );
+    }
     let last = all("FROM").pop().unwrap();
+    let (last, _) = last.split_once('@').unwrap();
     assert!(
         last.contains("distroless") && last.ends_with(":nonroot"),
         "the image is made from {last}"
