@@ -89,7 +89,7 @@ impl Information {
             seed,
             on_share: &of_frames,
         };
-        let means = simulated.means(filter, &tangents, &lower);
+        let means = simulated.means(filter, tangents, &lower);
         let mut counted = DMatrix::zeros(all, all);
         counted
             .view_mut((0, 0), (theta, theta))
@@ -210,32 +210,38 @@ struct Block {
 }
 
 /// A derivative of the filter whose `∂û` runs from frame to frame.
-struct Course<'t> {
+struct Course {
     /// `∂K`, or what the extended filter adds to it (2 N_d × N_0).
-    gain: &'t DMatrix<f64>,
+    gain: DMatrix<f64>,
     /// See [`Tangent::by_motion`], with `L⁻¹` before the rows of `∂ν`.
     by_motion: Option<DMatrix<f64>>,
 }
 
 impl Simulated<'_> {
-    fn means(&self, mut filter: SteadyFilter, tangents: &[Tangent], lower: &DMatrix<f64>) -> Means {
+    fn means(
+        &self,
+        mut filter: SteadyFilter,
+        tangents: Vec<Tangent>,
+        lower: &DMatrix<f64>,
+    ) -> Means {
         let mut data = Data::new(self.structure, self.seed);
         let (rows, states) = filter.model().observation.shape();
-        let whole = tangents.iter().map(|tangent| Course {
-            gain: &tangent.gain,
-            by_motion: tangent.by_motion.as_ref().map(|by_motion| {
-                let mut by_motion = by_motion.clone();
+        let (mut courses, mut held) = (Vec::with_capacity(tangents.len()), Vec::new());
+        for mut tangent in tangents {
+            if let Some(by_motion) = &mut tangent.by_motion {
                 lower.solve_lower_triangular_mut(&mut by_motion.rows_mut(states, rows));
-                by_motion
-            }),
-        });
-        let held = tangents.iter().filter_map(|tangent| {
-            let gain = tangent.held_gain.as_ref()?;
-            let by_motion = None;
-            Some(Course { gain, by_motion })
-        });
-        let courses: Vec<Course> = whole.chain(held).collect();
-        let (all, theta) = (tangents.len(), courses.len() - tangents.len());
+            }
+            courses.push(Course {
+                gain: tangent.gain,
+                by_motion: tangent.by_motion,
+            });
+            held.extend(tangent.held_gain.map(|gain| Course {
+                gain,
+                by_motion: None,
+            }));
+        }
+        let (all, theta) = (courses.len(), held.len());
+        courses.append(&mut held);
         let mut advance = DMatrix::zeros(states + rows, states); // [Ā; −L⁻¹ H]
         advance.rows_mut(0, states).copy_from(filter.closed());
         let mut seen = advance.rows_mut(states, rows);
@@ -271,6 +277,7 @@ impl Simulated<'_> {
             add_products(&mut products, &derivatives);
         }
         products /= self.frames as f64;
+        products.fill_upper_triangle_with_lower_triangle();
         Means {
             held: products.view((0, 0), (all, all)).into_owned(),
             counted: products.view((all, all), (theta, theta)).into_owned(),
@@ -279,17 +286,18 @@ impl Simulated<'_> {
     }
 }
 
-/// Adds `Xᵀ X`.
+/// Adds the part of `Xᵀ X` below and around the diagonal.
 fn add_products(sum: &mut DMatrix<f64>, x: &DMatrix<f64>) {
     let (rows, width) = x.shape();
     let transposed = x.transpose();
     let shares = sum.as_mut_slice().par_chunks_mut(width * SHARE);
     let shares = shares.zip(x.as_slice().par_chunks(rows * SHARE));
-    shares.for_each(|(sum, x)| {
-        let own = sum.len() / width;
+    shares.enumerate().for_each(|(number, (sum, x))| {
+        let (first, own) = (number * SHARE, sum.len() / width);
         let mut sum = DMatrixViewMut::from_slice(sum, width, own);
+        let mut below = sum.rows_mut(first, width - first);
         let x = DMatrixView::from_slice(x, rows, own);
-        sum.gemm(1.0, &transposed, &x, 1.0);
+        below.gemm(1.0, &transposed.rows(first, width - first), &x, 1.0);
     });
 }
 
@@ -323,7 +331,7 @@ impl Block {
 
     /// Returns what the data add to `∂û_{i+1}` and, for a parameter, to `L⁻¹ ∂ν_i` below it.
     fn pushes(&self, course: &Course) -> DMatrix<f64> {
-        let by_gain = course.gain * &self.innovations; // ∂K ν
+        let by_gain = &course.gain * &self.innovations; // ∂K ν
         match &course.by_motion {
             None => by_gain,
             Some(by_motion) => {
