@@ -45,11 +45,13 @@ impl HannTransform {
     /// frequency zero to half the sampling rate.
     ///
     /// # Panics
-    /// `samples` do not yield as many values as a window has.
-    pub fn transform(&self, samples: impl Iterator<Item = f64> + Clone) -> Vec<Complex<f64>> {
-        let mean = samples.clone().sum::<f64>() / self.window_len() as f64;
-        let weighted = samples.zip(&self.weights);
-        let mut input: Vec<f64> = weighted.map(|(x, weight)| weight * (x - mean)).collect();
+    /// There are more or fewer `samples` than a window has.
+    pub fn transform(&self, samples: impl Iterator<Item = f64>) -> Vec<Complex<f64>> {
+        let mut input: Vec<f64> = samples.collect();
+        let mean = input.iter().sum::<f64>() / self.window_len() as f64;
+        for (x, weight) in input.iter_mut().zip(&self.weights) {
+            *x = weight * (*x - mean);
+        }
         let mut output = self.plan.make_output_vec();
         let done = self.plan.process(&mut input, &mut output);
         assert!(done.is_ok(), "a window has {} samples", self.window_len());
@@ -91,7 +93,13 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "a window has 8 samples")]
-    fn other_number_of_samples_panics() {
+    fn too_few_samples_panic() {
         HannTransform::new(8).transform([1.0; 7].into_iter());
+    }
+
+    #[test]
+    #[should_panic(expected = "a window has 8 samples")]
+    fn too_many_samples_panic() {
+        HannTransform::new(8).transform([1.0; 9].into_iter());
     }
 }

@@ -256,11 +256,12 @@ impl Simulated<'_> {
             let block = data.block(&mut filter, len);
             // `L⁻¹ ∂ν` in all frames below one another, a column for each derivative
             let mut derivatives = DMatrix::zeros(rows * len, courses.len());
-            let shares = (moved.as_mut_slice().par_chunks_mut(states * SHARE))
+            let (of_moved, of_derivatives) = (states * SHARE, rows * len * SHARE);
+            let shares = (moved.as_mut_slice().par_chunks_mut(of_moved.max(1)))
                 .zip(
                     derivatives
                         .as_mut_slice()
-                        .par_chunks_mut(rows * len * SHARE),
+                        .par_chunks_mut(of_derivatives.max(1)),
                 )
                 .zip(courses.par_chunks(SHARE));
             shares.for_each(|((moved, derivatives), courses)| {
@@ -290,8 +291,9 @@ impl Simulated<'_> {
 fn add_products(sum: &mut DMatrix<f64>, x: &DMatrix<f64>) {
     let (rows, width) = x.shape();
     let transposed = x.transpose();
-    let shares = sum.as_mut_slice().par_chunks_mut(width * SHARE);
-    let shares = shares.zip(x.as_slice().par_chunks(rows * SHARE));
+    // Without sensors, there are no rows. A chunk must not be empty.
+    let shares = sum.as_mut_slice().par_chunks_mut((width * SHARE).max(1));
+    let shares = shares.zip(x.as_slice().par_chunks((rows * SHARE).max(1)));
     shares.enumerate().for_each(|(number, (sum, x))| {
         let (first, own) = (number * SHARE, sum.len() / width);
         let mut sum = DMatrixViewMut::from_slice(sum, width, own);
@@ -501,5 +503,12 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn products_without_rows_are_zero() {
+        let mut sum = DMatrix::zeros(3, 3);
+        add_products(&mut sum, &DMatrix::zeros(0, 3));
+        assert_eq!(sum, DMatrix::zeros(3, 3));
     }
 }
