@@ -361,7 +361,8 @@ async fn sensors_events_and_settings_are_tables() {
             browser
                 .evaluate(&format!("document.getElementById('tab-{tab}').click()"))
                 .await;
-            let wide = "document.documentElement.scrollWidth";
+            // Also in the frame in which plots still have the width of the last window.
+            let wide = "new Promise((done) => requestAnimationFrame(() => done(document.documentElement.scrollWidth)))";
             assert_eq!(browser.evaluate(wide).await, width, "{tab}");
             browser.screenshot(&format!("{tab}-{width}")).await;
         }

@@ -5,7 +5,7 @@
 
 use crate::model::StructureModel;
 use crate::ritz_basis::RitzBasis;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector};
 use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
 
 /// A structure with known parameters in continuous time.
@@ -65,16 +65,55 @@ impl LinearForm {
         let mut observation = DMatrix::zeros(model.observation_len(), columns.ncols());
         model.observation_jacobian_mul(&columns, &mut observation);
         let direct = model.feedthrough().cloned();
-        let moved = |rates: DMatrix<f64>| match basis {
-            None => rates.rows(0, physical).into_owned(),
-            Some(basis) => amplitudes(basis, &rates),
-        };
-        Self {
-            system: moved(system),
-            input: moved(input),
+        let mut form = Self {
+            system: system.rows(0, physical).into_owned(),
+            input: input.rows(0, physical).into_owned(),
             direct: direct.unwrap_or_else(|| DMatrix::zeros(observation.nrows(), inputs)),
             observation,
+        };
+        if let Some(basis) = basis {
+            form.project(model, basis);
         }
+        form
+    }
+
+    /// Replaces the rates of `[x, ẋ]` by those of `[q, q̇]`, by Galerkin's method:
+    /// `q̈ = (Φᵀ M Φ)⁻¹ Φᵀ M ẍ`.
+    ///
+    /// A sensor of acceleration then sees `Φ q̈`. Its own row of `−M⁻¹ K Φ` would multiply the error
+    /// of the shapes by the square of the highest frequency.
+    fn project(&mut self, model: &StructureModel, basis: &RitzBasis) {
+        let mut weighted = basis.shares.clone(); // Φᵀ M
+        let factors = model.mass_factors();
+        for (mut column, factor) in weighted.column_iter_mut().zip(&factors) {
+            column *= *factor;
+        }
+        let mass = (factors.iter().any(|factor| *factor != 1.0))
+            .then(|| Cholesky::new(&weighted * &basis.shapes))
+            .flatten(); // Φᵀ M Φ = I at the stated masses
+        let (width, free) = weighted.shape();
+        let amplitudes = |rates: &DMatrix<f64>| {
+            let mut moved = DMatrix::zeros(2 * width, rates.ncols());
+            for part in 0..2 {
+                let mut of_part = &weighted * rates.rows(part * free, free);
+                if let Some(mass) = &mass {
+                    mass.solve_mut(&mut of_part);
+                }
+                moved.rows_mut(part * width, width).copy_from(&of_part);
+            }
+            moved
+        };
+        let (system, input) = (amplitudes(&self.system), amplitudes(&self.input));
+        for (row, dof) in model.acceleration_responses() {
+            let shape = basis.shapes.row(dof);
+            self.observation
+                .set_row(row, &(shape * system.rows(width, width)));
+            // What the sensor does not feel, such as the ground motion, is left out as it is.
+            let felt = self.direct.row(row) - self.input.row(free + dof);
+            self.direct
+                .set_row(row, &(shape * input.rows(width, width) + felt));
+        }
+        (self.system, self.input) = (system, input);
     }
 
     /// Returns the equilibrium state (2 N_d) under a constant `excitation` (N_f):
@@ -139,15 +178,4 @@ fn twice(shapes: &DMatrix<f64>, len: usize) -> DMatrix<f64> {
         columns.view_mut(corner, (free, width)).copy_from(shapes);
     }
     columns
-}
-
-/// Returns the rates of `[q, q̇]` from the rates of `[x, ẋ]`.
-fn amplitudes(basis: &RitzBasis, rates: &DMatrix<f64>) -> DMatrix<f64> {
-    let (width, free) = basis.shares.shape();
-    let mut moved = DMatrix::zeros(2 * width, rates.ncols());
-    for part in 0..2 {
-        let of_part = &basis.shares * rates.rows(part * free, free);
-        moved.rows_mut(part * width, width).copy_from(&of_part);
-    }
-    moved
 }

@@ -361,6 +361,18 @@ impl StructureModel {
         self.fixed.hysteresis.is_some()
     }
 
+    /// Returns the factor of the mass of each degree of freedom (N_d) at the last linearised state.
+    pub(crate) fn mass_factors(&self) -> Vec<f64> {
+        let inverses = self.process.mass_factors_inverse.iter();
+        inverses.map(|inverse| 1.0 / inverse).collect()
+    }
+
+    /// Returns the row and the degree of freedom of each response that is an acceleration.
+    pub(crate) fn acceleration_responses(&self) -> impl Iterator<Item = (usize, usize)> {
+        let rows = self.responses.iter().enumerate();
+        rows.filter_map(|(row, response)| Some((row, response.accelerated()?)))
+    }
+
     /// Returns bounds of the Rayleigh quotients of `M⁻¹ K` of the springs (1/s²) and of `M⁻¹ C`
     /// (1/s).
     ///

@@ -63,6 +63,14 @@ impl Response {
         }
     }
 
+    /// Returns the degree of freedom of an acceleration; `None` for other responses.
+    pub(super) fn accelerated(&self) -> Option<usize> {
+        match self {
+            Self::Displacement(_) | Self::Velocity(_) => None,
+            Self::Acceleration(Acceleration { dof, .. }) => Some(*dof),
+        }
+    }
+
     /// Scales the row by the parameters at `point`.
     pub(super) fn linearise(&mut self, fixed: &Fixed, point: &Point) {
         if let Self::Acceleration(acceleration) = self {
