@@ -5,6 +5,8 @@
 //!
 //! - `structure`, `description`: as in the file
 //! - `sampling_rate_hz`, `degrees_of_freedom`, `channels`, `nodes`: numbers of the structure
+//! - `shapes`: number of shapes in which a model of more than 100 degrees of freedom was analysed,
+//!   otherwise `null`
 //! - `modes`: natural modes as designed, lowest first, with `frequency_hz`, `period_s`,
 //!   `damping_ratio` (share of critical) and `sensitivity`. The latter is the relative change of
 //!   the frequency per relative change of each parameter, in the order of `parameters`
@@ -57,6 +59,7 @@ pub struct CheckPage {
     degrees_of_freedom: usize,
     channels: usize,
     nodes: usize,
+    shapes: Option<usize>,
     modes: Vec<ModeReport>,
     time_step: TimeStepReport,
     after_s: Option<f64>,
@@ -106,6 +109,7 @@ impl CheckPage {
     pub fn new(structure: &Structure, report: CheckReport) -> Self {
         let CheckReport {
             structure: name,
+            shapes,
             modes,
             time_step,
             identification,
@@ -126,6 +130,7 @@ impl CheckPage {
             degrees_of_freedom: modes.len(),
             channels: structure.channel_count(),
             nodes: structure.nodes().len(),
+            shapes,
             modes,
             time_step,
             after_s: None,
@@ -327,6 +332,7 @@ impl fmt::Display for CheckPage {
             degrees_of_freedom,
             channels,
             nodes,
+            shapes,
             ..
         } = self;
         let separator = if description.is_empty() { "" } else { ": " };
@@ -342,6 +348,9 @@ impl fmt::Display for CheckPage {
             counted(*channels, "channel", "channels"),
             counted(*nodes, "node", "nodes")
         )?;
+        if let Some(shapes) = shapes {
+            writeln!(f, "analysed in {shapes} shapes")?;
+        }
         self.write_modes(f)?;
         self.write_parameters(f)?;
         self.write_noise_levels(f)?;

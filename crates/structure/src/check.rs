@@ -30,6 +30,8 @@ const SHARE_OF_INFORMATION: f64 = 0.7;
 pub struct CheckReport {
     /// Name of the structure.
     pub structure: String,
+    /// Number of shapes in which a large model was analysed; `None` if it was analysed as it is.
+    pub shapes: Option<usize>,
     /// Natural modes as designed, lowest frequency first.
     pub modes: Vec<ModeReport>,
     /// Planned subdivision of a time step by the filter.
@@ -166,6 +168,7 @@ impl Structure {
         let assumptions = self.assumptions();
         CheckReport {
             structure: self.name.clone(),
+            shapes: self.analysis_basis().map(|basis| basis.shapes.ncols()),
             modes,
             time_step,
             identification,

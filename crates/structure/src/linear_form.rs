@@ -3,7 +3,8 @@
 //!
 //! `u̇ = A_u u + B_u f`, `z = H u + D f` with `u = [x, ẋ]`: Huang & Yuen (2023), (2.3) to (2.9).
 
-use crate::model::StructureModel;
+use crate::hysteresis::Drive;
+use crate::model::{Motion, StructureModel};
 use crate::ritz_basis::RitzBasis;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use spandrel_filter::{InputHold, ObservationModel, ProcessModel};
@@ -41,7 +42,7 @@ impl LinearForm {
     }
 
     /// Extracts the matrices of the motion in the shapes of `basis` (r), `x = Φ q`. `2 N_d` is then
-    /// `2 r`. Without a basis, every degree of freedom moves by itself.
+    /// `2 r`. Springs driven by their drift rates move by `D Φ q`. Without a basis, every degree of freedom moves by itself.
     pub(crate) fn moving_in(
         model: &mut StructureModel,
         theta: &[f64],
@@ -56,7 +57,7 @@ impl LinearForm {
         model.linearise_observation(&state, &at_rest);
         let columns = match basis {
             None => DMatrix::identity(len, physical),
-            Some(basis) => twice(&basis.shapes, len),
+            Some(basis) => twice(&basis.shapes, model.drive(), len),
         };
         let mut system = DMatrix::zeros(len, columns.ncols());
         model.jacobian_mul(&columns, &mut system);
@@ -80,8 +81,9 @@ impl LinearForm {
     /// Replaces the rates of `[x, ẋ]` by those of `[q, q̇]`, by Galerkin's method:
     /// `q̈ = (Φᵀ M Φ)⁻¹ Φᵀ M ẍ`.
     ///
-    /// A sensor of acceleration then sees `Φ q̈`. Its own row of `−M⁻¹ K Φ` would multiply the error
-    /// of the shapes by the square of the highest frequency.
+    /// The sensors see the motion `Φ q − R K(θ) Φ q` ([`crate::ritz_basis`]), and those of
+    /// acceleration its second derivative. Their own row of `−M⁻¹ K Φ` would multiply the error of
+    /// the shapes by the square of the highest frequency.
     fn project(&mut self, model: &StructureModel, basis: &RitzBasis) {
         let mut weighted = basis.shares.clone(); // Φᵀ M
         let factors = model.mass_factors();
@@ -95,7 +97,15 @@ impl LinearForm {
         let amplitudes = |rates: &DMatrix<f64>| {
             let mut moved = DMatrix::zeros(2 * width, rates.ncols());
             for part in 0..2 {
-                let mut of_part = &weighted * rates.rows(part * free, free);
+                let mut of_dofs = rates.rows(part * free, free).into_owned();
+                if part == 0 && model.drive() == Drive::Drift {
+                    // D⁻¹ adds the drifts of all springs below.
+                    for spring in 1..free {
+                        let (mut sum, below) = of_dofs.rows_range_pair_mut(spring, spring - 1);
+                        sum += below;
+                    }
+                }
+                let mut of_part = &weighted * of_dofs;
                 if let Some(mass) = &mass {
                     mass.solve_mut(&mut of_part);
                 }
@@ -104,14 +114,30 @@ impl LinearForm {
             moved
         };
         let (system, input) = (amplitudes(&self.system), amplitudes(&self.input));
-        for (row, dof) in model.acceleration_responses() {
-            let shape = basis.shapes.row(dof);
-            self.observation
-                .set_row(row, &(shape * system.rows(width, width)));
-            // What the sensor does not feel, such as the ground motion, is left out as it is.
-            let felt = self.direct.row(row) - self.input.row(free + dof);
-            self.direct
-                .set_row(row, &(shape * input.rows(width, width) + felt));
+        let mut residual = basis.residual.clone(); // cᵀ R M
+        for (mut column, factor) in residual.column_iter_mut().zip(&factors) {
+            column *= *factor;
+        }
+        // −R K Φ, the motion outside of the shapes
+        let outside = residual * self.system.view((free, 0), (free, width));
+        self.observation.fill(0.0);
+        for (row, (motion, sensed)) in model.sensed().enumerate() {
+            let mut shape = outside.row(row).into_owned();
+            for (dof, factor) in sensed {
+                shape += basis.shapes.row(dof) * factor;
+            }
+            let mut observed = self.observation.row_mut(row);
+            match motion {
+                Motion::Displacement => observed.columns_mut(0, width).copy_from(&shape),
+                Motion::Velocity => observed.columns_mut(width, width).copy_from(&shape),
+                Motion::Acceleration(dof) => {
+                    observed.copy_from(&(&shape * system.rows(width, width)));
+                    // What the sensor does not feel, such as the ground motion, is left out as it is.
+                    let felt = self.direct.row(row) - self.input.row(free + dof);
+                    let moved = shape * input.rows(width, width) + felt;
+                    self.direct.set_row(row, &moved);
+                }
+            }
         }
         (self.system, self.input) = (system, input);
     }
@@ -169,13 +195,19 @@ impl LinearForm {
     }
 }
 
-/// Returns `[Φ, 0; 0, Φ; 0, 0]` with `len` rows.
-fn twice(shapes: &DMatrix<f64>, len: usize) -> DMatrix<f64> {
+/// Returns `[D Φ, 0; 0, Φ; 0, 0]` with `len` rows. `D` is the identity for linear springs.
+fn twice(shapes: &DMatrix<f64>, drive: Drive, len: usize) -> DMatrix<f64> {
     let (free, width) = shapes.shape();
     let mut columns = DMatrix::zeros(len, 2 * width);
-    for part in 0..2 {
-        let corner = (part * free, part * width);
-        columns.view_mut(corner, (free, width)).copy_from(shapes);
+    columns
+        .view_mut((free, width), (free, width))
+        .copy_from(shapes);
+    for (shape, column) in shapes
+        .as_slice()
+        .chunks_exact(free)
+        .zip(columns.as_mut_slice().chunks_exact_mut(len))
+    {
+        drive.drive_to(shape, &mut column[..free]);
     }
     columns
 }

@@ -18,7 +18,7 @@ mod response;
 
 use crate::assembly::Assembly;
 use crate::excitation::Action;
-use crate::hysteresis::{Hysteresis, Slopes};
+use crate::hysteresis::{Drive, Hysteresis, Slopes};
 use crate::linear_form::LinearForm;
 use crate::linear_system::{Damping, Mass};
 use crate::modes::Modes;
@@ -28,6 +28,7 @@ use crate::structure::Structure;
 use nalgebra::DMatrix;
 use point::Point;
 use proportional::StiffnessByMass;
+pub(crate) use response::Motion;
 use response::Response;
 use spandrel_filter::discretise::Series;
 use spandrel_filter::{ConstantTransition, ObservationModel, ProcessModel, ProportionalForm};
@@ -367,10 +368,14 @@ impl StructureModel {
         inverses.map(|inverse| 1.0 / inverse).collect()
     }
 
-    /// Returns the row and the degree of freedom of each response that is an acceleration.
-    pub(crate) fn acceleration_responses(&self) -> impl Iterator<Item = (usize, usize)> {
-        let rows = self.responses.iter().enumerate();
-        rows.filter_map(|(row, response)| Some((row, response.accelerated()?)))
+    /// Returns the velocity that drives the springs; `Floor` for linear springs.
+    pub(crate) fn drive(&self) -> Drive {
+        self.fixed.drive()
+    }
+
+    /// Returns what each response senses: the motion, and the degrees of freedom with their factors.
+    pub(crate) fn sensed(&self) -> impl Iterator<Item = (Motion, Vec<(usize, f64)>)> {
+        self.responses.iter().map(Response::sensed)
     }
 
     /// Returns bounds of the Rayleigh quotients of `M⁻¹ K` of the springs (1/s²) and of `M⁻¹ C`

@@ -72,11 +72,7 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
 fn limit_memory(structure: &Structure, path: &Path) -> Result<(), AppError> {
     let unknowns = structure.parameters().len() + structure.noise_levels().len();
     let channels = structure.channel_count();
-    // A larger model is reduced to 100 shapes.
-    let states = match structure.degrees_of_freedom().len() {
-        whole @ 0..=200 => 2 * whole,
-        _ => 200,
-    };
+    let states = 2 * structure.most_shapes();
     // The derivative of the filter by an unknown has two covariances of the data, two gains, and the
     // effect of the motion on state and data.
     let entries = 2 * channels * channels + 2 * states * channels + (states + channels) * states;

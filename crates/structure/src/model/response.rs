@@ -10,6 +10,15 @@ use crate::linear_system::Mass;
 use crate::node::{Channel, Quantity};
 use nalgebra::DMatrix;
 
+/// The motion that a sensor responds to.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Motion {
+    Displacement,
+    Velocity,
+    /// The acceleration of a degree of freedom.
+    Acceleration(usize),
+}
+
 /// One observation row.
 #[derive(Debug, Clone)]
 pub(super) enum Response {
@@ -63,11 +72,14 @@ impl Response {
         }
     }
 
-    /// Returns the degree of freedom of an acceleration; `None` for other responses.
-    pub(super) fn accelerated(&self) -> Option<usize> {
+    /// Returns the sensed motion, and its degrees of freedom with their factors.
+    pub(super) fn sensed(&self) -> (Motion, Vec<(usize, f64)>) {
         match self {
-            Self::Displacement(_) | Self::Velocity(_) => None,
-            Self::Acceleration(Acceleration { dof, .. }) => Some(*dof),
+            Self::Displacement(terms) => (Motion::Displacement, terms.clone()),
+            Self::Velocity(dof) => (Motion::Velocity, vec![(*dof, 1.0)]),
+            Self::Acceleration(Acceleration { dof, .. }) => {
+                (Motion::Acceleration(*dof), vec![(*dof, 1.0)])
+            }
         }
     }
 
