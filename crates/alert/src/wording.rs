@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use spandrel_bus::{
     AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words, per_cent,
+    per_cent_range,
 };
 
 use crate::motion::Shaking;
@@ -308,8 +309,7 @@ fn percent(share: f64) -> String {
 /// Returns the interval of the loss, and the interval within this record if the reference has an
 /// estimated scatter.
 fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
-    let range =
-        |loss: &LossEstimate| format!("{} to {} %", per_cent(loss.low), per_cent(loss.high));
+    let range = |loss: &LossEstimate| per_cent_range(loss.low, loss.high);
     let has_scatter = alert
         .reference
         .is_some_and(|reference| reference.scatter().is_some());

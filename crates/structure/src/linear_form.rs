@@ -42,7 +42,8 @@ impl LinearForm {
     }
 
     /// Extracts the matrices of the motion in the shapes of `basis` (r), `x = Φ q`. `2 N_d` is then
-    /// `2 r`. Springs driven by their drift rates move by `D Φ q`. Without a basis, every degree of freedom moves by itself.
+    /// `2 r`. Springs driven by their drift rates move by `D Φ q`. Without a basis, every degree of
+    /// freedom moves by itself.
     pub(crate) fn moving_in(
         model: &mut StructureModel,
         theta: &[f64],
@@ -64,7 +65,9 @@ impl LinearForm {
         let mut input = DMatrix::zeros(len, inputs);
         model.excitation_matrix(&mut input);
         let mut observation = DMatrix::zeros(model.observation_len(), columns.ncols());
-        model.observation_jacobian_mul(&columns, &mut observation);
+        if basis.is_none() {
+            model.observation_jacobian_mul(&columns, &mut observation);
+        }
         let direct = model.feedthrough().cloned();
         let mut form = Self {
             system: system.rows(0, physical).into_owned(),
@@ -80,16 +83,16 @@ impl LinearForm {
 
     /// Replaces the rates of `[x, ẋ]` by those of `[q, q̇]`, by Galerkin's method:
     /// `q̈ = (Φᵀ M Φ)⁻¹ Φᵀ M ẍ`.
-    ///
-    /// The sensors see the motion `Φ q − R K(θ) Φ q` ([`crate::ritz_basis`]), and those of
-    /// acceleration its second derivative. Their own row of `−M⁻¹ K Φ` would multiply the error of
-    /// the shapes by the square of the highest frequency.
     fn project(&mut self, model: &StructureModel, basis: &RitzBasis) {
-        let mut weighted = basis.shares.clone(); // Φᵀ M
         let factors = model.mass_factors();
-        for (mut column, factor) in weighted.column_iter_mut().zip(&factors) {
-            column *= *factor;
-        }
+        let scaled = |by_mass: &DMatrix<f64>| {
+            let mut scaled = by_mass.clone();
+            for (mut column, factor) in scaled.column_iter_mut().zip(&factors) {
+                column *= *factor;
+            }
+            scaled
+        };
+        let weighted = scaled(&basis.shares); // Φᵀ M
         let mass = (factors.iter().any(|factor| *factor != 1.0))
             .then(|| Cholesky::new(&weighted * &basis.shapes))
             .flatten(); // Φᵀ M Φ = I at the stated masses
@@ -114,17 +117,27 @@ impl LinearForm {
             moved
         };
         let (system, input) = (amplitudes(&self.system), amplitudes(&self.input));
-        let mut residual = basis.residual.clone(); // cᵀ R M
-        for (mut column, factor) in residual.column_iter_mut().zip(&factors) {
-            column *= *factor;
-        }
-        // −R K Φ, the motion outside of the shapes
-        let outside = residual * self.system.view((free, 0), (free, width));
-        self.observation.fill(0.0);
+        let outside = scaled(&basis.residual) * self.system.view((free, 0), (free, width)); // −R K Φ
+        self.sense(model, [&basis.shapes, &outside], [&system, &input]);
+        (self.system, self.input) = (system, input);
+    }
+
+    /// Makes the sensors see the motion `Φ q − R K(θ) Φ q` of the `shapes`, `Φ` and `−R K(θ) Φ`
+    /// ([`crate::ritz_basis`]), with the rates of `[q, q̇]`.
+    ///
+    /// Sensors of acceleration see its second derivative. Their own row of `−M⁻¹ K Φ` would
+    /// multiply the error of the shapes by the square of the highest frequency.
+    fn sense(
+        &mut self,
+        model: &StructureModel,
+        [shapes, outside]: [&DMatrix<f64>; 2],
+        [system, input]: [&DMatrix<f64>; 2],
+    ) {
+        let (free, width) = shapes.shape();
         for (row, (motion, sensed)) in model.sensed().enumerate() {
             let mut shape = outside.row(row).into_owned();
             for (dof, factor) in sensed {
-                shape += basis.shapes.row(dof) * factor;
+                shape += shapes.row(dof) * factor;
             }
             let mut observed = self.observation.row_mut(row);
             match motion {
@@ -139,7 +152,6 @@ impl LinearForm {
                 }
             }
         }
-        (self.system, self.input) = (system, input);
     }
 
     /// Returns the equilibrium state (2 N_d) under a constant `excitation` (N_f):

@@ -63,11 +63,10 @@ impl LossDisplay {
     #[must_use]
     pub fn words(&self) -> String {
         format!(
-            "loss {} % ({:.0} % interval {} to {} %), more than {} % with probability {}",
+            "loss {} % ({:.0} % interval {}), more than {} % with probability {}",
             per_cent(self.loss),
             100.0 * self.interval.level,
-            per_cent(self.interval.low),
-            per_cent(self.interval.high),
+            per_cent_range(self.interval.low, self.interval.high),
             per_cent(self.rule_loss),
             self.shown_probability(),
         )
@@ -100,6 +99,19 @@ pub fn per_cent(share: f64) -> String {
     }
 }
 
+/// Formats a range of shares in per cent, with one decimal unless both are whole: `14.1 to 16.0 %`,
+/// `1 to 5 %`.
+#[must_use]
+pub fn per_cent_range(low: f64, high: f64) -> String {
+    let ends = [low, high].map(per_cent);
+    let are_whole = ends.iter().all(|end| !end.contains('.'));
+    let [low, high] = ends.map(|end| match are_whole || end.contains('.') {
+        true => end,
+        false => end + ".0",
+    });
+    format!("{low} to {high} %")
+}
+
 impl Message for LossDisplay {
     const TYPE: &'static str = "loss";
     const VERSION: u16 = 1;
@@ -127,6 +139,13 @@ impl Message for LossDisplay {
 mod tests {
     use super::super::FitReasons;
     use super::*;
+
+    #[test]
+    fn both_ends_of_a_range_have_the_same_number_of_decimals() {
+        let ranges = [(0.141, 0.16), (0.01, 0.05), (-0.0001, 0.123)];
+        let found = ranges.map(|(low, high)| per_cent_range(low, high));
+        assert_eq!(found, ["14.1 to 16.0 %", "1 to 5 %", "0.0 to 12.3 %"]);
+    }
 
     fn alert(state: AlertState) -> AlertMessage {
         AlertMessage {
