@@ -177,6 +177,11 @@ impl Structure {
         }
     }
 
+    /// Returns an estimate of the memory that a check takes (bytes).
+    pub fn check_bytes(&self) -> usize {
+        Information::bytes(self)
+    }
+
     fn time_step(&self) -> TimeStepReport {
         let rate_bound = self.model().rate_bound();
         let series = Series::choose(rate_bound, self.step_s());

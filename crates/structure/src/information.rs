@@ -43,6 +43,23 @@ pub(crate) struct Information {
 }
 
 impl Information {
+    /// Returns an estimate of the memory that the matrices for [`Self::expected`] take (bytes).
+    pub(crate) fn bytes(structure: &Structure) -> usize {
+        let parameters = structure.parameters.len();
+        let unknowns = parameters + structure.noise_levels.len();
+        let (rows, states) = (
+            structure.observation_channels.len(),
+            2 * structure.most_shapes(),
+        );
+        // The derivative by an unknown has two covariances of the data, two gains, and the effect of
+        // the motion on state and data.
+        let of_filter = 2 * rows * rows + 2 * states * rows + (states + rows) * states;
+        // The derivatives of the data of a block are there twice, for a parameter also as the
+        // extended filter sees them.
+        let of_block = 2 * BLOCK as usize * rows * (unknowns + parameters);
+        (unknowns * of_filter + of_block) * size_of::<f64>()
+    }
+
     /// Simulates `frames` frames of the undamaged structure at its prior means and sums their
     /// information. Reports the completed share (0 to 1) to `on_share`.
     pub(crate) fn expected(

@@ -79,7 +79,7 @@ impl Structure {
 
     /// Returns the number of shapes in which a check moves the structure at most: all degrees of
     /// freedom of a small one.
-    pub fn most_shapes(&self) -> usize {
+    pub(crate) fn most_shapes(&self) -> usize {
         let unknowns = self.parameters.len() + self.noise_levels.len();
         match unknowns * self.observation_channels.len() {
             _ if self.system.len() <= LARGEST_WHOLE => self.system.len(),

@@ -72,11 +72,7 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
 fn limit_memory(structure: &Structure, path: &Path) -> Result<(), AppError> {
     let unknowns = structure.parameters().len() + structure.noise_levels().len();
     let channels = structure.channel_count();
-    let states = 2 * structure.most_shapes();
-    // The derivative of the filter by an unknown has two covariances of the data, two gains, and the
-    // effect of the motion on state and data.
-    let entries = 2 * channels * channels + 2 * states * channels + (states + channels) * states;
-    let found_mb = unknowns * entries * size_of::<f64>() / 1_000_000;
+    let found_mb = structure.check_bytes() / 1_000_000;
     match found_mb <= MOST_MB {
         true => Ok(()),
         false => Err(AppError::CheckTooLarge {
