@@ -40,7 +40,7 @@ const MOST_SHAPES: usize = 100;
 const MANY_DERIVATIVES: usize = 15_000;
 
 /// Largest number of shapes for many derivatives.
-const FEWER_SHAPES: usize = 60;
+const FEWER_SHAPES: usize = 50;
 
 /// Number of frequencies between zero and half the sampling rate.
 const FREQUENCIES: usize = 100;
