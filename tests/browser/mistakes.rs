@@ -361,7 +361,7 @@ async fn sensors_events_and_settings_are_tables() {
             browser
                 .evaluate(&format!("document.getElementById('tab-{tab}').click()"))
                 .await;
-            // Also in the frame in which plots still have the width of the last window.
+            // In the next frame, in which a plot may still have the width of the last window.
             let wide = "new Promise((done) => requestAnimationFrame(() => done(document.documentElement.scrollWidth)))";
             assert_eq!(browser.evaluate(wide).await, width, "{tab}");
             browser.screenshot(&format!("{tab}-{width}")).await;
