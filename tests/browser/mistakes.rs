@@ -358,12 +358,15 @@ async fn sensors_events_and_settings_are_tables() {
             "events",
             "settings",
         ] {
-            browser
-                .evaluate(&format!("document.getElementById('tab-{tab}').click()"))
-                .await;
-            // In the next frame, in which a plot may still have the width of the last window.
-            let wide = "new Promise((done) => requestAnimationFrame(() => done(document.documentElement.scrollWidth)))";
-            assert_eq!(browser.evaluate(wide).await, width, "{tab}");
+            // As soon as the panel is shown, when its plots still have the width of the last window.
+            let width_when_shown = format!(
+                "new Promise((done) => {{ \
+                 const shown = () => done(document.documentElement.scrollWidth); \
+                 const panel = document.getElementById('panel-{tab}'); \
+                 new MutationObserver(shown).observe(panel, {{ attributeFilter: ['hidden'] }}); \
+                 document.getElementById('tab-{tab}').click(); }})"
+            );
+            assert_eq!(browser.evaluate(&width_when_shown).await, width, "{tab}");
             browser.screenshot(&format!("{tab}-{width}")).await;
         }
     }
