@@ -4,7 +4,7 @@
 use crate::support::{
     DEADLINE, Drops, Process, Sensors, Site, five_storeys, put_raw, spandrel, two_storeys, within,
 };
-use spandrel_bus::{Bus, BusConfig, Mode, Name, Service, Status};
+use spandrel_bus::{Bus, BusConfig, Event, EventKind, Mode, Name, Service, Status};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
@@ -204,6 +204,8 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
         reader.wait_for_output("values", |said| said.contains("storey-1"));
     }
     while of_alert.messages().try_iter().next().is_some() {}
+    let events = bus.subscribe::<Event>(site.keys().event(), 256).await;
+    let events = events.unwrap();
     readers.iter().for_each(Process::freeze);
     services.wait_for_log("refused what=\"bus-reader\" who=\"tcp/127.0.0.1:");
     simulation.wait().expect_code(0);
@@ -224,6 +226,17 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     );
     let metrics = get(&page, "/metrics", "");
     assert!(refused(&metrics, "bus-reader") >= 1, "{metrics}");
+    let of_readers = |event: &Event| event.kind == EventKind::ReaderDisconnected;
+    let events: Vec<Event> = events
+        .messages()
+        .try_iter()
+        .map(|(_, event)| event)
+        .collect();
+    let named = |event: &Event| event.subject.starts_with("tcp/127.0.0.1:");
+    assert!(
+        events.iter().any(|event| of_readers(event) && named(event)),
+        "{events:?}"
+    );
     readers.into_iter().for_each(Process::kill);
     services.stop().expect_code(0);
 }

@@ -350,7 +350,8 @@ impl Store {
                 | EventKind::ModelAgrees
                 | EventKind::Earthquake
                 | EventKind::EarthquakeReport
-                | EventKind::EarthquakeUnreported => false,
+                | EventKind::EarthquakeUnreported
+                | EventKind::ReaderDisconnected => false,
             };
         }
         self.events.push_front(event);

@@ -17,6 +17,8 @@ const LINES_OF_ALL: u32 = 100;
 const MOST_CLIENTS: usize = 256;
 /// Name of the shared count.
 const OTHERS: &str = "others";
+/// Maximum number of disconnected readers that are remembered.
+const MOST_READERS: usize = 64;
 /// Maximum number of characters of a client or reason in the log. Others choose these texts.
 const MOST_CHARACTERS: usize = 200;
 
@@ -109,6 +111,16 @@ pub struct AuditLog {
     clients: BTreeMap<(Refused, String), Client>,
     lines: u32,
     since: Duration,
+    lost_readers: Vec<LostReader>,
+}
+
+/// A reader of the bus that was disconnected.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LostReader {
+    /// Its address, or the identifier of its session.
+    pub who: String,
+    /// The reason.
+    pub why: String,
 }
 
 /// The refusals of one client and kind in its period.
@@ -145,6 +157,10 @@ impl AuditLog {
         self.pass(now, lines);
         *self.counts.entry(refused).or_default() += 1;
         let (who, why) = (legible(who), legible(why));
+        if refused == Refused::BusReader && self.lost_readers.len() < MOST_READERS {
+            let (who, why) = (who.clone(), why.clone());
+            self.lost_readers.push(LostReader { who, why });
+        }
         let is_known = self.clients.contains_key(&(refused, who.clone()));
         let who = match is_known || self.clients.len() < MOST_CLIENTS {
             true => who,
@@ -190,6 +206,11 @@ impl AuditLog {
         let clients = std::mem::take(&mut self.clients).into_iter();
         let summed_up = clients.filter(|(_, client)| client.held_back > 0);
         lines.extend(summed_up.map(|((refused, who), client)| client.summary(refused, who)));
+    }
+
+    /// Returns the readers that were disconnected since the last call, at most 64.
+    pub fn take_lost_readers(&mut self) -> Vec<LostReader> {
+        std::mem::take(&mut self.lost_readers)
     }
 
     /// Returns the number of refusals since the start, by kind.
@@ -251,6 +272,11 @@ impl Audit {
         let mut lines = Vec::new();
         self.lock().finish(&mut lines);
         lines.iter().for_each(write);
+    }
+
+    /// Returns the readers that were disconnected since the last call, at most 64.
+    pub fn take_lost_readers(&self) -> Vec<LostReader> {
+        self.lock().take_lost_readers()
     }
 
     /// Returns the number of refusals since the start, by kind.

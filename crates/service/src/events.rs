@@ -83,6 +83,7 @@ fn level(event: &Event) -> Level {
         | EventKind::ModelContradicted
         | EventKind::Earthquake
         | EventKind::EarthquakeUnreported
+        | EventKind::ReaderDisconnected
         | EventKind::StateLost => Level::WARN,
     }
 }

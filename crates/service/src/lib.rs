@@ -28,7 +28,7 @@ mod plan;
 mod service;
 mod status;
 
-pub use audit::{Audit, AuditLine, AuditLog, Refused};
+pub use audit::{Audit, AuditLine, AuditLog, LostReader, Refused};
 pub use clock::Clock;
 pub use events::{EventPublisher, log_event};
 pub use plan::{Monitored, ServiceInstance};

@@ -9,9 +9,10 @@
 
 use spandrel_service::{Audit, Refused};
 use std::cell::Cell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt::{self, Write as _};
 use std::time::Duration;
+use tokio::time::Instant;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::Layer;
@@ -24,6 +25,10 @@ const EVENTS_WAITING: usize = 4096;
 const MOST_CHARACTERS: usize = 1024;
 /// Maximum number of connections whose party is remembered.
 const MOST_PARTIES: usize = 4096;
+/// Maximum number of refusals that wait for the name of their party.
+const MOST_WAITING: usize = 4096;
+/// Time that a refusal waits for the name of its party.
+const LONGEST_WAIT: Duration = Duration::from_secs(5);
 /// Interval between summaries.
 const PASS_EVERY: Duration = Duration::from_secs(1);
 
@@ -80,13 +85,12 @@ impl BusAudit {
             let mut parties = Parties::default();
             loop {
                 match waiting.recv_timeout(PASS_EVERY) {
-                    Ok(text) => {
-                        if let Some(Refusal { refused, who, why }) = parties.read(&text) {
-                            Audit::of_process().refuse(refused, &who, &why);
-                        }
-                    }
+                    Ok(text) => parties.read(&text, Instant::now()),
                     Err(flume::RecvTimeoutError::Timeout) => {}
                     Err(flume::RecvTimeoutError::Disconnected) => return,
+                }
+                for Refusal { refused, who, why } in parties.found(Instant::now()) {
+                    Audit::of_process().refuse(refused, &who, &why);
                 }
                 Audit::of_process().pass();
             }
@@ -205,44 +209,78 @@ struct Refusal {
     why: String,
 }
 
-/// The parties of the present connections, as the events of Zenoh name them.
+/// A refusal of a session whose party is not known yet.
+///
+/// Zenoh names the party of a new session in a thread of its own. On a busy machine hundreds of
+/// messages come before.
+#[derive(Debug)]
+struct Waiting {
+    since: Instant,
+    session: String,
+    why: String,
+}
+
+/// The parties of the present connections, as the events of Zenoh name them, and what was refused
+/// to them.
 #[derive(Debug, Default)]
 struct Parties {
     /// Names of certificates by the address of their connection.
     names: BTreeMap<String, String>,
     /// Parties by the identifier of their session.
     sessions: BTreeMap<String, String>,
-    /// Sessions without any right, whose address is not known yet.
-    without_rights: Vec<String>,
+    /// Refusals that wait for the party of their session, the oldest first.
+    waiting: VecDeque<Waiting>,
+    /// Refusals to report.
+    found: Vec<Refusal>,
 }
 
 impl Parties {
-    /// Reads an event. Returns what Zenoh refused, if anything.
-    fn read(&mut self, text: &str) -> Option<Refusal> {
+    /// Reads an event that arrives at time `now`.
+    fn read(&mut self, text: &str, now: Instant) {
         if let Some(failure) = text.strip_prefix("QUIC acceptor failed: ") {
-            return Some(Refusal {
+            self.found.push(Refusal {
                 refused: Refused::BusHandshake,
                 who: "unknown address".to_owned(),
                 why: reason(failure),
             });
-        }
-        if let Some(closed) = self.read_closed(text) {
-            return Some(closed);
-        }
-        if let Some(accepted) = text.strip_prefix("Accepted QUIC connection on ") {
+        } else if let Some(closed) = self.read_closed(text) {
+            self.found.push(closed);
+        } else if let Some(accepted) = text.strip_prefix("Accepted QUIC connection on ") {
             self.take_certificate(accepted);
-            return None;
+        } else if let Some(accepted) = text.strip_prefix("New transport link accepted from ") {
+            self.take_session(accepted);
+        } else if let Some((session, _)) =
+            text.split_once(" did not match any configured ACL subject")
+        {
+            let why = "the router file does not name this party; it has no rights";
+            self.refuse(session, why.to_owned(), now);
+        } else {
+            self.take_decision(text, now);
         }
-        if let Some(accepted) = text.strip_prefix("New transport link accepted from ") {
-            return self.take_session(accepted);
+    }
+
+    /// Returns what Zenoh refused since the last call. A refusal whose party is unknown appears
+    /// [`LONGEST_WAIT`] later, with the identifier of the session.
+    fn found(&mut self, now: Instant) -> Vec<Refusal> {
+        let is_overdue = |waiting: &Waiting| now.duration_since(waiting.since) >= LONGEST_WAIT;
+        while let Some(waiting) = self.waiting.pop_front_if(|waiting| is_overdue(waiting)) {
+            self.found.push(right(waiting.session, waiting.why));
         }
-        if let Some((session, _)) = text.split_once(" did not match any configured ACL subject") {
-            if self.without_rights.len() < MOST_PARTIES {
-                self.without_rights.push(session.to_owned());
-            }
-            return None;
+        std::mem::take(&mut self.found)
+    }
+
+    fn refuse(&mut self, session: &str, why: String, now: Instant) {
+        if let Some(who) = self.sessions.get(session) {
+            self.found.push(right(who.clone(), why));
+        } else if self.waiting.len() < MOST_WAITING {
+            self.waiting.push_back(Waiting {
+                since: now,
+                session: session.to_owned(),
+                why,
+            });
+        } else {
+            self.found.push(right(session.to_owned(), why));
         }
-        self.take_decision(text)
     }
 
     /// Reads `Unable to push non droppable network message to SESSION. …` or `RX task failed: HERE =>
@@ -256,7 +294,7 @@ impl Parties {
         let blocked = text.strip_prefix("Unable to push non droppable network message to ");
         if let Some((session, _)) = blocked.and_then(|rest| rest.split_once(". ")) {
             let who = self.sessions.get(session).map_or(session, String::as_str);
-            return Some(closed(who.to_owned(), "it took no messages; disconnected"));
+            return Some(closed(who.to_owned(), "it took no messages"));
         }
         let (link, _) = text
             .strip_prefix("RX task failed: ")?
@@ -264,7 +302,7 @@ impl Parties {
         let address = link.rsplit(" => ").next().unwrap_or(link);
         let end = address.find(":TransportLink").unwrap_or(address.len());
         let who = address[..end].to_owned();
-        Some(closed(who, "no sign of life; disconnected"))
+        Some(closed(who, "it gave no sign of life"))
     }
 
     /// Reads `SERVER: CLIENT. NAME.`
@@ -285,9 +323,11 @@ impl Parties {
     }
 
     /// Reads `SESSION to ROUTER: LINK`.
-    fn take_session(&mut self, accepted: &str) -> Option<Refusal> {
-        let (session, link) = accepted.split_once(" to ")?;
-        let address = link.rsplit("quic/").next()?;
+    fn take_session(&mut self, accepted: &str) {
+        let Some((session, link)) = accepted.split_once(" to ") else {
+            return;
+        };
+        let address = link.rsplit("quic/").next().unwrap_or(link);
         let is_of_address = |c: char| c.is_ascii_hexdigit() || ".:[]".contains(c);
         let end = address.find(|c| !is_of_address(c)).unwrap_or(address.len());
         let address = &address[..end];
@@ -299,28 +339,32 @@ impl Parties {
         if self.sessions.len() >= MOST_PARTIES {
             self.sessions.clear(); // later refusals state the identifier of the session
         }
-        self.sessions.insert(session.to_owned(), who.clone());
-        let place = self.without_rights.iter().position(|s| s == session)?;
-        self.without_rights.swap_remove(place);
-        Some(Refusal {
-            refused: Refused::BusRight,
-            who,
-            why: "the router file does not name this party; it has no rights".to_owned(),
-        })
+        let waiting = std::mem::take(&mut self.waiting).into_iter();
+        let (named, others): (VecDeque<_>, _) = waiting.partition(|w| w.session == session);
+        self.waiting = others;
+        let named = named.into_iter().map(|w| right(who.clone(), w.why));
+        self.found.extend(named);
+        self.sessions.insert(session.to_owned(), who);
     }
 
     /// Reads `SESSION on SUBJECT is unauthorized to ACTION on KEY`, or the same for a decision that
     /// was made before.
-    fn take_decision(&self, text: &str) -> Option<Refusal> {
-        let (who, action) = text.split_once(" is unauthorized to ")?;
+    fn take_decision(&mut self, text: &str, now: Instant) {
+        let Some((who, action)) = text.split_once(" is unauthorized to ") else {
+            return;
+        };
         let who = who.strip_prefix("Using cached result: ").unwrap_or(who);
         let session = who.split(" on ").next().unwrap_or(who);
-        let who = self.sessions.get(session).map_or(session, String::as_str);
-        Some(Refusal {
-            refused: Refused::BusRight,
-            who: who.to_owned(),
-            why: action.replacen(" (ingress)", "", 1),
-        })
+        self.refuse(session, action.replacen(" (ingress)", "", 1), now);
+    }
+}
+
+/// Returns the refusal of a right.
+fn right(who: String, why: String) -> Refusal {
+    Refusal {
+        refused: Refused::BusRight,
+        who,
+        why,
     }
 }
 
@@ -342,7 +386,9 @@ mod tests {
     use super::*;
 
     fn read(parties: &mut Parties, text: &str) -> Option<(Refused, String, String)> {
-        let found = parties.read(text);
+        let now = Instant::now();
+        parties.read(text, now);
+        let found = parties.found(now).into_iter().next();
         found.map(|Refusal { refused, who, why }| (refused, who, why))
     }
 
@@ -367,6 +413,38 @@ mod tests {
             );
             assert_eq!(read(&mut parties, text), Some(expected), "{text}");
         }
+    }
+
+    /// Regression: the log named the session instead of the party on a busy machine.
+    #[test]
+    fn messages_that_come_before_the_name_of_their_party_wait_for_it() {
+        let mut parties = Parties::default();
+        let now = Instant::now();
+        let refused = |session: &str, key: &str| {
+            format!("Using cached result: {session} is unauthorized to Put (ingress) on {key}")
+        };
+        let found = |who: &str, key: &str| right(who.to_owned(), format!("Put on {key}"));
+        for text in [
+            "Accepted QUIC connection on 10.0.0.5:7447: 10.0.0.9:40001. Common Name: viewer.ada.",
+            &refused("ab12", "first"),
+            &refused("ef56", "other"),
+            &refused("ab12", "second"),
+        ] {
+            parties.read(text, now);
+            assert_eq!(parties.found(now), [], "{text}");
+        }
+        let accepted = "New transport link accepted from ab12 to cd34: Link { dst: \
+                        quic/10.0.0.9:40001, mtu: 1 }";
+        parties.read(accepted, now);
+        let ada = "viewer.ada (10.0.0.9)";
+        assert_eq!(
+            parties.found(now),
+            [found(ada, "first"), found(ada, "second")]
+        );
+        // The name of the other session never comes.
+        let later = now + LONGEST_WAIT;
+        assert_eq!(parties.found(later), [found("ef56", "other")]);
+        assert_eq!(parties.found(later), []);
     }
 
     #[test]

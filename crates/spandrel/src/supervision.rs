@@ -3,8 +3,9 @@
 use crate::error::AppError;
 use crate::state::State;
 use sd_notify::NotifyState;
-use spandrel_bus::Keys;
+use spandrel_bus::{Bus, BusError, Event, EventKind, Keys};
 use spandrel_identify::FilterPool;
+use spandrel_service::{Audit, Clock, EventPublisher, LostReader};
 use std::collections::VecDeque;
 use std::future::Future;
 use std::time::Duration;
@@ -165,6 +166,46 @@ pub async fn keep_folders<T>(state: Option<&State>, keys: Vec<Keys>) -> T {
             warn!(%error, "cannot look at the state folder");
         }
     }
+}
+
+/// Publishes an event for every structure when this process has disconnected readers of the bus.
+pub async fn report_lost_readers<T>(bus: &Bus, keys: Vec<Keys>) -> T {
+    let mut look = tokio::time::interval(LOOK_EVERY);
+    look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        look.tick().await;
+        let lost = Audit::of_process().take_lost_readers();
+        let Some(last) = lost.last() else {
+            continue;
+        };
+        for keys in &keys {
+            if let Err(error) = put_lost_readers(bus, keys, last, lost.len()).await {
+                warn!(%error, "cannot report that readers were disconnected");
+            }
+        }
+    }
+}
+
+async fn put_lost_readers(
+    bus: &Bus,
+    keys: &Keys,
+    last: &LostReader,
+    count: usize,
+) -> Result<(), BusError> {
+    let what = match count {
+        1 => "a reader of the bus was disconnected".to_owned(),
+        _ => format!("{count} readers of the bus were disconnected"),
+    };
+    let event = Event {
+        structure: keys.structure().clone(),
+        time_ns: Clock::of_machine().now_ns(),
+        kind: EventKind::ReaderDisconnected,
+        subject: last.who.clone(),
+        what,
+        why: last.why.clone(),
+    };
+    let events = EventPublisher::declare(bus, keys).await?;
+    events.put(&event.legible()).await
 }
 
 #[cfg(test)]

@@ -84,6 +84,8 @@ pub enum EventKind {
     EarthquakeReport,
     /// A report of an earthquake is not made, or waits.
     EarthquakeUnreported,
+    /// A connection to the bus was closed, because its other end stopped reading.
+    ReaderDisconnected,
 }
 
 /// One event with its reason.

@@ -8,7 +8,7 @@ use crate::role_check::{Need, Work, cannot_acknowledge, check};
 use crate::services::{Running, Share, Watched, block_on, interrupted, read_structures};
 use crate::settings::Settings;
 use crate::state::State;
-use crate::supervision::{Hangups, feed_watchdog, keep_folders, tell_systemd};
+use crate::supervision::{Hangups, feed_watchdog, keep_folders, report_lost_readers, tell_systemd};
 use sd_notify::NotifyState;
 use serde_json::Value;
 use spandrel_access::isolation;
@@ -204,6 +204,14 @@ impl Plan {
     fn keys(&self) -> Vec<Keys> {
         let keys = self.watched.iter().map(|watched| watched.keys.clone());
         keys.collect()
+    }
+
+    /// Returns the keys of the structures whose readers connect to this process.
+    fn with_readers(&self) -> Vec<Keys> {
+        match self.settings.bus.mode {
+            Mode::Client => Vec::new(), // readers connect to the router
+            Mode::Peer | Mode::Router => self.keys(),
+        }
     }
 
     /// Rejects a certificate that does not grant the rights that the services need.
@@ -432,6 +440,7 @@ pub fn run(
                 next = hangups.read(|| Plan::read(arguments, services, share, page)) => Ended::Anew(Box::new(next)),
                 never = feed_watchdog(pool) => never,
                 never = keep_folders(plan.state.as_ref(), plan.keys()) => never,
+                never = report_lost_readers(&bus, plan.with_readers()) => never,
             };
             if matches!(ended, Ended::Done(_)) {
                 tell_systemd(NotifyState::Stopping);
