@@ -538,7 +538,9 @@ async fn the_router_logs_refused_certificates_and_messages() {
     data_settled(grace.session()).await;
 
     let ada = site.join("viewer.ada").await;
-    // A busy machine drops messages of the default congestion control before they are sent.
+    // Without a subscriber, a declared publisher sends nothing. A busy machine drops messages of the
+    // default congestion control before they are sent.
+    let subscriber = grace.session().declare_subscriber(&key).await.unwrap();
     let (session, event) = (ada.session(), keys.event());
     let declared = session.declare_publisher(key.clone());
     let declared = declared.congestion_control(CongestionControl::Block);
@@ -554,7 +556,7 @@ async fn the_router_logs_refused_certificates_and_messages() {
     let named = "what=\"bus-right\" who=\"viewer.ada (127.0.0.1)\" why=\"Put on ";
     router.wait_for_log(named);
     data_settled(ada.session()).await;
-    drop(declared);
+    drop((declared, subscriber));
     for bus in [ada, grace] {
         bus.close().await.unwrap();
     }
