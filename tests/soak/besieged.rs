@@ -7,7 +7,7 @@
 use super::houses::{Houses, OTHERS, STEADY, check_recording};
 use super::measured::{Heard, Series, resident_mb};
 use super::node::Manner;
-use crate::support::{DEADLINE, Process, put_raw, spandrel, within};
+use crate::support::{DEADLINE, Process, SmallDisk, put_raw, spandrel, storeys, within};
 use rand::seq::SliceRandom as _;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -16,9 +16,10 @@ use spandrel_bus::{
     Service, Start, Stream, StreamSettings,
 };
 use std::collections::BTreeMap;
-use std::io::{Read as _, Write as _};
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
@@ -32,6 +33,11 @@ const STEADY_HOUSE: usize = 0;
 const OTHER_HOUSE: usize = 1;
 /// Maximum increase in memory from the first to the last fifth of the time after the warm-up, MB.
 const GROWTH_MB: f64 = 10.0;
+
+/// Size of the disk of the state.
+const DISK: &str = "512m";
+/// Maximum time until all is well again after a neighbour (s).
+const MOST_RECOVERY_S: f64 = 30.0;
 
 /// What one neighbour does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -60,11 +66,19 @@ enum Trouble {
     Garbage,
     /// The folder of the state is away.
     StateFolderAway,
+    /// The disk of the state is full.
+    FullDisk,
+    /// The file of the history is overwritten.
+    CorruptHistory,
     /// A record without end.
     EndlessRecord,
+    /// A structure file that nobody writes.
+    Fifo,
+    /// A check of 60 storeys.
+    LargeCheck,
 }
 
-const TROUBLES: [Trouble; 13] = [
+const TROUBLES: [Trouble; 17] = [
     Trouble::NodeAhead,
     Trouble::AllNodesAhead,
     Trouble::SecondProgram,
@@ -77,7 +91,11 @@ const TROUBLES: [Trouble; 13] = [
     Trouble::MalformedQueries,
     Trouble::Garbage,
     Trouble::StateFolderAway,
+    Trouble::FullDisk,
+    Trouble::CorruptHistory,
     Trouble::EndlessRecord,
+    Trouble::Fifo,
+    Trouble::LargeCheck,
 ];
 
 #[tokio::test(flavor = "multi_thread")]
@@ -98,22 +116,29 @@ struct Besieged {
     page: String,
     token: String,
     state: PathBuf,
+    /// The disk of the state.
+    disk: PathBuf,
+    _mounted: SmallDisk,
     bus: Bus,
     random: ChaCha8Rng,
 }
 
 impl Besieged {
-    async fn start() -> Self {
+    /// Starts all services. `None` without permission to mount a disk.
+    async fn start() -> Option<Self> {
         let mut houses = Houses::new(2, SPEED);
         let site = &houses.sites[STEADY_HOUSE];
+        let disk = site.folder().join("disk");
+        std::fs::create_dir(&disk).unwrap();
+        let mounted = SmallDisk::or_skip(&disk, DISK)?;
         let tokens = site.folder().join("tokens.json");
         let mut issue = spandrel("token");
         issue.args(["ada", "--role", "viewer", "--file"]);
         let issued = Process::start(issue.arg(&tokens)).wait().expect_code(0);
         let configuration = site.folder().join("spandrel.toml");
         let text = "isolated = true\n\
-                    [state]\nfolder = \"kept\"\ncheckpoint-s = 1\nrecording.keep-s = 86400\n\
-                    [history]\ndatabase = \"kept/history.sqlite\"\n\
+                    [state]\nfolder = \"disk/kept\"\ncheckpoint-s = 1\nrecording.keep-s = 86400\n\
+                    [history]\ndatabase = \"disk/kept/history.sqlite\"\n\
                     [dashboard]\nlisten = \"127.0.0.1:0\"\ntokens = \"tokens.json\"\n";
         std::fs::write(&configuration, text).unwrap();
         let mut command = site.listening("run");
@@ -132,18 +157,19 @@ impl Besieged {
             ..BusConfig::default()
         };
         let bus = Bus::open(&config).await.unwrap();
-        let state = site.folder().join("kept");
         site.wait_for_services(&bus).await;
         houses.start_nodes();
-        Self {
+        Some(Self {
             houses,
             run,
             page,
             token: issued.stdout.trim().to_owned(),
-            state,
+            state: disk.join("kept"),
+            disk,
+            _mounted: mounted,
             bus,
             random: ChaCha8Rng::seed_from_u64(1),
-        }
+        })
     }
 
     /// Lets a neighbour do what it does for some time, and removes it.
@@ -226,11 +252,38 @@ impl Besieged {
                 sleep(hold).await;
                 std::fs::rename(&away, &self.state).unwrap();
             }
+            Trouble::FullDisk => {
+                let ballast = self.disk.join("ballast");
+                let mut file = std::fs::File::create(&ballast).unwrap();
+                let full = std::io::copy(&mut std::io::repeat(1), &mut file);
+                assert_eq!(full.unwrap_err().kind(), ErrorKind::StorageFull);
+                sleep(hold).await;
+                std::fs::remove_file(&ballast).unwrap();
+            }
+            Trouble::CorruptHistory => {
+                let file = self.state.join("history.sqlite");
+                std::fs::write(file, vec![b'x'; 100_000]).unwrap();
+                sleep(hold).await;
+            }
             Trouble::EndlessRecord => {
                 let mut check = spandrel("check");
                 check.arg(self.houses.sites[STEADY_HOUSE].structure_file());
                 check.args(["--record", "/dev/zero"]);
                 Process::start(&mut check).wait().expect_code(2);
+            }
+            Trouble::Fifo => {
+                let fifo = self.disk.join("fifo.toml");
+                let made = Command::new("mkfifo").arg(&fifo).status().unwrap();
+                assert!(made.success());
+                let mut check = spandrel("check");
+                Process::start(check.arg(&fifo)).wait().expect_code(2);
+                std::fs::remove_file(&fifo).unwrap();
+            }
+            Trouble::LargeCheck => {
+                let file = self.disk.join("tall.toml");
+                std::fs::write(&file, storeys(60, "")).unwrap();
+                let mut check = spandrel("check");
+                Process::start(check.arg(&file)).wait().expect_code(0);
             }
         }
     }
@@ -324,7 +377,9 @@ impl Besieged {
 /// Runs the services for `length`, or until each trouble has happened once. A trouble that lasts
 /// does so for a random time (s).
 async fn besiege(length: Duration, hold_s: std::ops::Range<f64>) {
-    let mut besieged = Besieged::start().await;
+    let Some(mut besieged) = Besieged::start().await else {
+        return;
+    };
     let started = Instant::now();
     let clock = besieged.houses.clock;
     let (heard, listening) =
@@ -391,6 +446,9 @@ async fn besiege(length: Duration, hold_s: std::ops::Range<f64>) {
     println!("memory MB, medians of each tenth: {tenths:.1?}");
 
     assert!(!log.contains("panicked"), "{log}");
+    assert_eq!(heard.restarts, 0, "{log}");
+    let most_s = recovery_s.values().flatten().copied().fold(0.0, f64::max);
+    assert!(most_s < MOST_RECOVERY_S, "{recovery_s:?}");
     for service in ["identify", "alert"] {
         let counts = heard.counted(service);
         assert_eq!(counts.get("lost-items"), None, "{service}: {counts:?}");
