@@ -5,7 +5,7 @@ use crate::support::{
 };
 use spandrel_bus::{
     Block as _, Bus, Delivery, Event, EventKind, FrameBlock, HistorySpan, Message as _, Name,
-    SampleBlock, Service, Start, StreamSettings, Subscription,
+    SampleBlock, Service, Start, Status, StreamSettings, Subscription,
 };
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::os::unix::process::CommandExt as _;
@@ -187,6 +187,60 @@ async fn a_state_folder_that_disappears_is_noticed_and_used_again_when_it_is_bac
             assert!(longest < 5.0, "{longest} s without a value in the history");
         }
     }
+}
+
+/// The services have nothing to save when the folder disappears.
+#[tokio::test(flavor = "multi_thread")]
+async fn each_service_reports_within_ten_seconds_that_its_state_is_gone() {
+    const SAVING: [Service; 6] = [
+        Service::Identify,
+        Service::Alert,
+        Service::Modes,
+        Service::Reports,
+        Service::Judge,
+        Service::Notify,
+    ];
+    let site = Site::with(&two_storeys(
+        "[modal]\nepoch-s = 60\nband-hz = [0.5, 20]\n[earthquakes]\n[judge]\n\
+         [[judge.quantity]]\nname = \"storey-1\"\nis = \"stiffness\"\n",
+    ));
+    let state = site.folder().join("state");
+    let mut command = run_with_state(&site, &state);
+    let configuration = site.folder().join("spandrel.toml");
+    let mut text = std::fs::read_to_string(&configuration).unwrap();
+    text += "[[notify.webhook]]\nurl = \"http://127.0.0.1:9/\"\n"; // nobody listens there
+    std::fs::write(&configuration, text).unwrap();
+    let services = Process::start(&mut command);
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let drops = Drops::watch(&bus, &site.keys()).await;
+    let record = site.simulate(20.0);
+    let mut sensors = Sensors::start(&bus, &site.keys(), site.structure(), &record).await;
+    put_slowly(&mut sensors, 0..2000).await;
+    for service in [Service::Alert, Service::Modes, Service::Reports] {
+        drops.when_done(service, 1800).await;
+    }
+    let events = bus.subscribe(site.keys().event(), 256).await.unwrap();
+    let statuses = bus.subscribe::<Status>(site.keys().all_statuses(), 256);
+    let statuses = statuses.await.unwrap();
+
+    std::fs::rename(&state, site.folder().join("away")).unwrap();
+    let mut silent: Vec<&str> = SAVING.iter().map(|service| service.as_str()).collect();
+    let noticed = async {
+        let lost = [EventKind::StateLost, EventKind::HistoryUnavailable];
+        all_events(&events, &lost).await;
+        while !silent.is_empty() {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if status.drops.contains_key("checkpoints-not-kept") {
+                silent.retain(|service| *service != status.service.as_str());
+            }
+        }
+    };
+    let noticed = tokio::time::timeout(Duration::from_secs(10), noticed).await;
+    assert!(noticed.is_ok(), "without a report: {silent:?}");
+    bus.close().await.unwrap();
+    services.stop().expect_code(0);
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -124,9 +124,10 @@ impl EpochLog {
         self.flush();
     }
 
-    /// Tries to write the lines that wait.
+    /// Tries to write the lines that wait. If there are none, looks whether the file still exists.
     pub(crate) fn flush(&mut self) {
         if self.waiting.is_empty() {
+            self.look();
             return;
         }
         match self.write() {
@@ -142,6 +143,23 @@ impl EpochLog {
                 warn!(file = %self.path.display(), %error, failures, "cannot save epochs; a restart would lose them");
             }
             Err(_) => {}
+        }
+    }
+
+    /// Counts a file that is gone, so that this does not remain unnoticed until the end of an epoch.
+    fn look(&mut self) {
+        let was_lost = self.failures.consecutive() > 0;
+        let file = self.path.display();
+        match self.path.exists() {
+            true => {
+                if let Some(failures) = self.failures.succeeded() {
+                    info!(%file, failures, "the file of the epochs is back");
+                }
+            }
+            false if !was_lost && self.failures.failed() => {
+                warn!(%file, "the file of the epochs is gone; a restart would lose them");
+            }
+            false => {}
         }
     }
 
