@@ -4,11 +4,13 @@
 //! clocks.
 
 use crate::support::{
-    Drops, EstimateReader, Process, Record, Sensors, Site, assert_same_bits, two_storeys, within,
+    Drops, EstimateReader, Process, Record, Sensors, Site, SteppedClock, assert_same_bits,
+    two_storeys, within,
 };
-use spandrel_bus::{Bus, Keys, SampleBlock, Service};
+use spandrel_bus::{Bus, Keys, SampleBlock, Service, Status};
 use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
 use std::collections::BTreeMap;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 const ROWS: usize = 800;
 /// Row at which clocks are set.
@@ -33,11 +35,19 @@ struct Running {
 
 impl Running {
     async fn start(change: impl Fn(&mut Record)) -> Self {
-        let site = Site::with(&two_storeys(""));
+        Self::start_at(Site::with(&two_storeys("")), change, Site::run).await
+    }
+
+    /// Starts the services of a site with `run`.
+    async fn start_at(
+        site: Site,
+        change: impl Fn(&mut Record),
+        run: impl Fn(&Site) -> Process,
+    ) -> Self {
         let mut record = site.simulate(ROWS as f64 / SECOND as f64);
         change(&mut record);
         record.save_as("changed.csv");
-        let services = site.run();
+        let services = run(&site);
         let (bus, keys) = (site.join().await, site.keys());
         site.wait_for_services(&bus).await;
         let drops = Drops::watch(&bus, &keys).await;
@@ -227,6 +237,63 @@ async fn a_machine_whose_clock_is_decades_behind_its_sensors_identifies_the_same
     assert!(lost.is_empty(), "{:?}", status.drops);
     assert!(status.lag_s.unwrap() < -1e9, "lag {:?} s", status.lag_s);
     running.end().await;
+}
+
+/// As NTP does it: by hours and by seconds, forward and back.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_machine_whose_clock_is_set_while_services_run_identifies_the_same() {
+    const STEPS_S: [i64; 4] = [3600, -3605, 5, 0];
+    let site = Site::with(&two_storeys(""));
+    let Some(clock) = SteppedClock::or_skip(site.folder()) else {
+        return;
+    };
+    let start = |site: &Site| {
+        let mut command = site.listening("run");
+        clock.of(&mut command);
+        let services = Process::start(command.args(["--http", "none"]));
+        services.wait_for_log("ready structures=1");
+        services
+    };
+    let mut running = Running::start_at(site, |_| {}, start).await;
+    let statuses = running.keys.statuses(Service::Ingest);
+    let statuses = running
+        .bus
+        .subscribe::<Status>(statuses, 256)
+        .await
+        .unwrap();
+    let rows = ROWS / STEPS_S.len();
+    for (step, ahead_s) in STEPS_S.into_iter().enumerate() {
+        clock.set(ahead_s);
+        let (from, to) = (step * rows, (step + 1) * rows);
+        running.sensors.put(from..to).await;
+        running.reader.read_frames(to).await;
+        // The services read the clock that was set.
+        let shown = async {
+            loop {
+                let (_, status) = statuses.messages().recv_async().await.unwrap();
+                let off_s = (status.time_ns - now_ns()) / SECOND_NS - ahead_s;
+                if off_s.abs() <= 3 {
+                    break;
+                }
+            }
+        };
+        within("a status with the time that was set", shown).await;
+    }
+    let mut record = running.sensors.record().clone();
+    running
+        .assert_as_in("a clock that was set", &mut record, ROWS)
+        .await;
+    let status = running.drops.when_done(Service::Ingest, ROWS as u64).await;
+    let is_loss =
+        |reason: &&String| !["fetched-items", "duplicate-items"].contains(&reason.as_str());
+    let lost: Vec<_> = status.drops.keys().filter(is_loss).collect();
+    assert!(lost.is_empty(), "{:?}", status.drops);
+    running.end().await;
+}
+
+fn now_ns() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    since.as_nanos() as i64
 }
 
 #[tokio::test(flavor = "multi_thread")]

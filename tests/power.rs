@@ -757,10 +757,9 @@ async fn a_power_failure_loses_only_what_was_not_synced() {
 
 /// Shows that the test above can fail.
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "belongs to the long form"]
 #[should_panic(expected = "set aside")]
 async fn checkpoints_without_a_sync_would_be_noticed() {
-    fails_at_random_moments(30, Duration::from_secs(300), 1, Some(".new")).await;
+    fails_at_random_moments(12, Duration::from_secs(60), 1, Some(".new")).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

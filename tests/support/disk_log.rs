@@ -12,7 +12,7 @@
 //! - names survive in the order of their changes within a folder, as in a journal. This is the
 //!   exception.
 
-use super::skip;
+use super::preload::compile_or_skip;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
@@ -35,26 +35,11 @@ pub struct Disk {
 impl Disk {
     /// Compiles the library into a folder. Skips the test without a C compiler.
     pub fn or_skip(folder: &Path) -> Option<Self> {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/support/disk_log.c");
         let folder = folder.canonicalize().unwrap();
-        let library = folder.join("disk_log.so");
-        let compiled = Command::new("cc")
-            .args(["-shared", "-fPIC", "-O1", "-o"])
-            .args([&library, &source])
-            .arg("-ldl")
-            .output();
-        match compiled {
-            Ok(output) if output.status.success() => {
-                let disk = Self { library, folder };
-                std::fs::create_dir(disk.path()).unwrap();
-                Some(disk)
-            }
-            Ok(output) => panic!("{}", String::from_utf8_lossy(&output.stderr)),
-            Err(_) => {
-                skip("cc, which compiles tests/support/disk_log.c, is not installed");
-                None
-            }
-        }
+        let library = compile_or_skip("disk_log", &folder)?;
+        let disk = Self { library, folder };
+        std::fs::create_dir(disk.path()).unwrap();
+        Some(disk)
     }
 
     /// Returns the folder whose changes are logged. It is empty at first.

@@ -10,6 +10,7 @@ mod estimates;
 mod lab;
 pub mod mutation;
 pub mod page;
+mod preload;
 mod process;
 mod record;
 mod seasons;
@@ -17,6 +18,7 @@ mod secured;
 mod sensors;
 mod site;
 mod skip;
+mod stepped_clock;
 
 pub use building::{HOUSE, distributed_storeys, five_storeys, storeys, two_storeys};
 pub use computers::{Computers, packaged_postgresql};
@@ -32,6 +34,7 @@ pub use secured::Secured;
 pub use sensors::{Node, Sensors, put_raw};
 pub use site::{Site, free_endpoint};
 pub use skip::{axe_or_skip, records_or_skip, skip, zenoh_pico_or_skip};
+pub use stepped_clock::SteppedClock;
 
 use std::future::Future;
 use std::time::Duration;
