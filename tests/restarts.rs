@@ -8,6 +8,7 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, Bus, BusConfig, Description, EstimateBlock,
     Mode, Name, Service, Subscription,
 };
+use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 
 /// Length of the record (s), longer than the data that can be in transit. A replay therefore cannot
@@ -477,11 +478,14 @@ fn a_stop_while_structures_start_ends_the_process() {
             path
         })
         .collect();
+    let address = folder.path().join("notify");
+    let systemd = UnixDatagram::bind(&address).unwrap();
     let mut command = spandrel("run");
     command
         .args(&files)
         .args(["--listen", "tcp/127.0.0.1:0", "-v"])
         .args(["--http", "none"])
+        .env("NOTIFY_SOCKET", &address)
         .env("SPANDREL_STATE__FOLDER", folder.path().join("state"));
     let process = Process::start(&mut command);
     process.wait_for_log("alerts ready structure=\"h0\"");
@@ -489,4 +493,8 @@ fn a_stop_while_structures_start_ends_the_process() {
         .stop()
         .expect_code(0)
         .expect_untold(&["ready structures=40"]);
+    let mut told = [0; 64];
+    systemd.set_nonblocking(true).unwrap();
+    let length = systemd.recv(&mut told).unwrap();
+    assert_eq!(told[..length].trim_ascii(), b"STOPPING=1");
 }

@@ -429,7 +429,10 @@ pub fn run(
             let mut running = tokio::select! {
                 started = plan.start(&bus, services, share, page) => started?,
                 // Hundreds of structures take long to start.
-                () = &mut interrupted => break Ok(()),
+                () = &mut interrupted => {
+                    tell_systemd(NotifyState::Stopping);
+                    break Ok(());
+                }
             };
             info!(structures = plan.watched.len(), "ready");
             tell_systemd(NotifyState::Ready);
