@@ -258,6 +258,9 @@ impl Store {
         if self.about.distributed {
             return; // a station has estimates but no innovations
         }
+        if self.state.is_live(interval.time_ns) {
+            self.forget_uses_after(interval.time_ns);
+        }
         for (row, (least, largest)) in interval.ends.iter().enumerate() {
             let Some(channel) = self.about.observed_channel(row).map(str::to_owned) else {
                 return;
@@ -280,10 +283,21 @@ impl Store {
         );
     }
 
+    /// Forgets the uses of channels after the newest results.
+    ///
+    /// They belong to a former run on the time of a clock that was ahead. Compared with them, all
+    /// channels of the present run would be silent.
+    fn forget_uses_after(&mut self, newest_ns: i64) {
+        self.used_ns.retain(|_, used_ns| *used_ns <= newest_ns);
+    }
+
     /// Notes the channels that took part in an epoch. With a model, the innovations show more.
     fn note_used_channels(&mut self, display: &ModeDisplay) {
         let is_useful = !self.about.has_model && self.state.is_live(display.time_ns);
         let shape = display.estimate.iter().flat_map(|estimate| &estimate.shape);
+        if is_useful {
+            self.forget_uses_after(display.time_ns);
+        }
         for at in shape.filter(|_| is_useful) {
             self.used_ns.insert(at.channel.clone(), display.time_ns);
         }

@@ -1,8 +1,9 @@
 use super::*;
+use crate::sensors::SensorHealth;
 use crate::testing::{alert, at, demo, fit, hear, monitoring, name, present, undecided};
 use spandrel_bus::{
     ChannelHealthDisplay, Estimate, EstimateBlock, EstimateFlags, Event, FaultKind, FitReason,
-    Header, Pace, ParameterMonitoring, Progress, SensorHealthDisplay, Soundness, Status,
+    Header, NodeClock, Pace, ParameterMonitoring, Progress, SensorHealthDisplay, Soundness, Status,
     StreamState,
 };
 use spandrel_listener::Input;
@@ -476,6 +477,54 @@ fn status(service: Service, time_ns: i64, pace: Option<Pace>) -> Input {
         restarts: 0,
         version: String::new(),
     })
+}
+
+// The page blamed the sound nodes, and counted the node with the wrong clock as alive.
+#[test]
+fn node_whose_clock_is_an_hour_off_has_a_wrong_clock_and_the_others_are_alive() {
+    let mut store = demo();
+    let nodes = [
+        "ground", "floor-1", "floor-2", "floor-3", "floor-4", "floor-5",
+    ];
+    store.handle(present(&nodes.map(|node| (Service::Sensor, node))));
+    // The clock was ahead and came first, so that a former run was on its time.
+    let mut ahead = estimates_without_the_third_channel();
+    ahead.t0_ns = 3_600_000_000_000;
+    ahead.header.time_ns = ahead.t0_ns;
+    for estimate in &mut ahead.estimates {
+        estimate.innovations[2] = 0.1;
+    }
+    store.handle(Input::Estimates(name("demo"), ahead));
+    let mut present_run = estimates_without_the_third_channel();
+    present_run.header.epoch = 2;
+    store.handle(Input::Estimates(name("demo"), present_run));
+    let Input::Status(mut of_ingest) = status(Service::Ingest, CLOCK_NS, Some(Pace::Live)) else {
+        panic!("a status");
+    };
+    let clock = NodeClock {
+        difference_s: Some(3600.0),
+        ..NodeClock::default()
+    };
+    of_ingest.clocks.insert(name("floor-3"), clock);
+    store.handle(Input::Status(of_ingest));
+    let expected = |node: &str| match node {
+        "floor-3" => (SensorHealth::WrongClock, "0.0"),
+        _ => (SensorHealth::Alive, "1.0"),
+    };
+    let no_refusals = std::collections::BTreeMap::new();
+    let text = crate::metrics::metrics(std::iter::once(&store), &no_refusals).unwrap();
+    let states = sensor_states(&store);
+    assert_eq!(states.len(), nodes.len());
+    for state in states {
+        let (health, alive) = expected(&state.node);
+        assert_eq!(state.health, health, "{}", state.node);
+        let channel = &state.channel;
+        let start = format!("spandrel_sensor_alive{{structure=\"demo\",channel=\"{channel}\"");
+        let line = text.lines().find(|line| line.starts_with(&start)).unwrap();
+        assert!(line.ends_with(&format!(" {alive}")), "{line}");
+    }
+    let found = overview(&store);
+    assert_eq!((found.sensors.alive, found.sensors.total), (5, 6));
 }
 
 /// A wall clock time.
