@@ -21,14 +21,15 @@ const TOKEN: &str = "t0ken-of-the-test";
 const PATH: &str = "/hooks/s3cret-path";
 
 /// A received request: head and body, and whether it was accepted.
-struct Request {
+#[derive(Debug)]
+pub struct Request {
     head: String,
-    body: Value,
+    pub body: Value,
     is_taken: bool,
 }
 
 /// Serves HTTP requests and rejects the first `failing` of them.
-fn http(failing: usize) -> (SocketAddr, Receiver<Request>) {
+pub fn http(failing: usize) -> (SocketAddr, Receiver<Request>) {
     let asked = AtomicUsize::new(0);
     answering(move || asked.fetch_add(1, Ordering::Relaxed) < failing)
 }

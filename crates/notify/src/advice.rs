@@ -18,6 +18,12 @@ pub(crate) fn advice(report: &Report, scene: &Scene<'_>) -> String {
         Report::Earthquake(_) => {
             "Read the report. It says whether an inspector is needed.".to_owned()
         }
+        Report::Clock(change) if change.is_wrong => format!(
+            "Check the time synchronisation of {} (NTP, PTP or GPS). A difference of whole hours \
+             means a wrong time zone.",
+            change.node
+        ),
+        Report::Clock(_) => "No action is required.".to_owned(),
     }
 }
 
@@ -148,6 +154,7 @@ mod tests {
                 ("ground-node".to_owned(), vec!["ground".to_owned()]),
                 ("roof-node".to_owned(), vec!["roof".to_owned()]),
             ],
+            has_alert_service: true,
             public_url: None,
         };
         let display = state.map(|state| monitoring(9, state, 5, &["x"]));

@@ -1,6 +1,7 @@
 //! The content of a notice: what is reported, and the circumstances at that moment.
 
 use crate::advice::advice;
+use crate::clocks::ClockChange;
 use crate::origin::Origin;
 use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,8 @@ pub(crate) enum Report {
     Judgement(JudgementDisplay),
     /// A report of an earthquake, which is ready.
     Earthquake(Event),
+    /// The clock of a node has become wrong or right.
+    Clock(ClockChange),
 }
 
 /// A summary of notices that were held back.
@@ -72,6 +75,8 @@ pub(crate) enum Concern {
     Lasting,
     /// The report of an earthquake.
     Earthquake,
+    /// The clock of a node, which is the part.
+    Clock,
 }
 
 /// The content of a notice.
@@ -106,6 +111,7 @@ impl Content {
             Report::Summary(_) => None,
             Report::Judgement(display) => display.change.map(|change| change.kind.into()),
             Report::Earthquake(_) => Some(NoticeState::EarthquakeReport),
+            Report::Clock(change) => Some(change.state()),
         }
     }
 
@@ -124,14 +130,16 @@ impl Content {
             Report::Summary(summary) => &summary.structure,
             Report::Judgement(display) => &display.structure,
             Report::Earthquake(event) => &event.structure,
+            Report::Clock(change) => &change.structure,
         }
     }
 
-    /// Returns the part of an alert, or the judged quantity.
+    /// Returns the part of an alert, the judged quantity, or the node of a clock.
     pub(crate) fn part(&self) -> Option<&Name> {
         match &self.report {
             Report::Alert(alert) => Some(&alert.parameter),
             Report::Judgement(display) => Some(&display.quantity),
+            Report::Clock(change) => Some(&change.node),
             Report::Monitoring(_) | Report::Summary(_) | Report::Earthquake(_) => None,
         }
     }
@@ -140,6 +148,7 @@ impl Content {
         let concern = match &self.report {
             Report::Judgement(_) => Concern::Lasting,
             Report::Earthquake(_) => Concern::Earthquake,
+            Report::Clock(_) => Concern::Clock,
             Report::Alert(_) | Report::Monitoring(_) | Report::Summary(_) => Concern::Present,
         };
         (self.structure().clone(), self.part().cloned(), concern)
@@ -156,6 +165,7 @@ impl Content {
                 .change
                 .map_or(display.time_ns, |change| change.found_ns),
             Report::Earthquake(event) => event.time_ns,
+            Report::Clock(change) => change.time_ns,
         }
     }
 
@@ -185,6 +195,15 @@ impl Content {
             },
             Report::Judgement(display) => display.sentence.trim_end_matches('.').to_owned(),
             Report::Earthquake(event) => format!("{}: {}", event.what, event.why),
+            Report::Clock(change) => {
+                let ClockChange {
+                    structure,
+                    node,
+                    what,
+                    ..
+                } = change;
+                format!("node {node} of {structure}: {what}")
+            }
         }
     }
 
@@ -223,6 +242,15 @@ fn key(report: &Report) -> String {
         Report::Earthquake(event) => {
             format!("{}/earthquake-report/{}", event.structure, event.subject)
         }
+        Report::Clock(change) => {
+            let ClockChange {
+                structure,
+                node,
+                time_ns,
+                ..
+            } = change;
+            format!("{structure}/{node}/{time_ns}/{}", change.state().as_str())
+        }
     }
 }
 
@@ -258,6 +286,8 @@ pub(crate) struct Facts {
     pub(crate) parameters: Vec<String>,
     /// Names of the channels of each node, by the name of the node.
     pub(crate) channels: Vec<(String, Vec<String>)>,
+    /// Whether an alert service watches the structure.
+    pub(crate) has_alert_service: bool,
     /// Public address of the page, without a slash at the end.
     pub(crate) public_url: Option<String>,
 }
@@ -306,6 +336,7 @@ impl Scene<'_> {
             Report::Summary(_) => (None, None),
             Report::Judgement(display) => (Some(&display.quantity), display.epoch_ns),
             Report::Earthquake(event) => (None, Some(event.time_ns)),
+            Report::Clock(_) => (None, None),
         };
         // A judgement rests on all samples since the commissioning.
         let origin = match &report {
@@ -361,6 +392,9 @@ impl Scene<'_> {
     }
 
     fn quality(&self) -> String {
+        if !self.facts.has_alert_service {
+            return String::new();
+        }
         let Some(display) = self.monitoring else {
             return "unknown: the alert service sends no report".to_owned();
         };
@@ -449,6 +483,7 @@ mod tests {
                 place: String::new(),
                 parameters: Vec::new(),
                 channels: Vec::new(),
+                has_alert_service: true,
                 public_url: Some("https://bridge.example".to_owned()),
             };
             let quake = Earthquake {
@@ -512,6 +547,7 @@ mod tests {
             place: "Lake Road 4".to_owned(),
             parameters: Vec::new(),
             channels: vec![("roof-node".to_owned(), vec!["roof".to_owned()])],
+            has_alert_service: true,
             public_url: public_url.map(str::to_owned),
         };
         let of = |alert: &AlertMessage| (alert.parameter.clone(), alert.clone());

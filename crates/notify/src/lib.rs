@@ -1,6 +1,7 @@
-//! Sends alerts and losses of sight to webhooks, to an Alertmanager and by e-mail.
+//! Sends alerts, losses of sight and wrong clocks to webhooks, to an Alertmanager and by e-mail.
 //!
 //! - `sight` decides when a blind or degraded structure is worth a notice.
+//! - `clocks` decides when the wrong clock of a node is worth a notice.
 //! - `origin` distinguishes measured samples from replayed and simulated ones.
 //! - `content` composes a notice from a change and its circumstances, with `advice`.
 //! - `outbox` selects the receivers of each notice, drops duplicates, and schedules each notice and
@@ -12,6 +13,7 @@
 //! This crate makes no decisions about alerts: that is the responsibility of the alert service.
 
 mod advice;
+mod clocks;
 mod content;
 mod error;
 mod memory;

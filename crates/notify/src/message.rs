@@ -1,5 +1,6 @@
 //! The content of notices in the formats of the receivers.
 
+use crate::clocks::ClockChange;
 use crate::content::{Content, Report, iso_8601};
 use crate::state::NoticeState;
 use crate::template::variables;
@@ -39,6 +40,21 @@ pub(crate) fn plain(content: &Content) -> Value {
         Report::Summary(summary) => json!(summary),
         Report::Judgement(display) => json!(display),
         Report::Earthquake(event) => json!(event),
+        Report::Clock(change) => {
+            let ClockChange {
+                structure,
+                node,
+                time_ns,
+                what,
+                why,
+                ..
+            } = change;
+            let state = change.state().as_str();
+            json!({
+                "structure": structure, "node": node, "time_ns": time_ns,
+                "state": state, "what": what, "why": why,
+            })
+        }
     };
     let variables = variables(content);
     for name in ADDED {
@@ -57,6 +73,7 @@ pub(crate) fn for_alertmanager(content: &Content) -> Value {
         Report::Summary(_) => Vec::new(), // Alertmanager summarises by itself
         Report::Judgement(display) => of_judgement(display).into_iter().collect(),
         Report::Earthquake(event) => vec![of_earthquake(event)],
+        Report::Clock(change) => vec![of_clock(change)],
     };
     let circumstances = &content.circumstances;
     for alert in &mut alerts {
@@ -144,6 +161,23 @@ fn of_earthquake(event: &Event) -> Value {
     })
 }
 
+fn of_clock(change: &ClockChange) -> Value {
+    let moment = match change.is_wrong {
+        true => "startsAt",
+        false => "endsAt",
+    };
+    json!({
+        "labels": {
+            "alertname": "SpandrelWrongClock",
+            "structure": change.structure.as_str(),
+            "node": change.node.as_str(),
+            "severity": "warning",
+        },
+        "annotations": { "state": change.state().as_str() },
+        moment: iso_8601(change.time_ns),
+    })
+}
+
 /// Blind and degraded are separate alerts. The inactive alert ends.
 fn of_monitoring(display: &MonitoringDisplay) -> Vec<Value> {
     let states = [
@@ -171,7 +205,7 @@ mod tests {
     use crate::origin::Origin;
     use crate::samples::samples;
     use crate::template::Template;
-    use crate::testing::{alert, content, monitoring, of_alert};
+    use crate::testing::{alert, content, monitoring, name, of_alert};
 
     fn mail(content: &Content) -> (String, String) {
         let render = |source| {
@@ -280,5 +314,41 @@ mod tests {
             assert!(subject.starts_with("[TEST] house: "), "{subject}");
             assert!(text.starts_with("This is a test of the notices."), "{text}");
         }
+    }
+
+    #[test]
+    fn notice_of_a_wrong_clock_names_node_difference_and_structure() {
+        let change = |is_wrong| ClockChange {
+            structure: name("house"),
+            node: name("roof"),
+            time_ns: 20_000_000_000,
+            is_wrong,
+            what: "the clock of the node is 3600.0 s ahead of most nodes".to_owned(),
+            why: "2 of 3 nodes agree on another time".to_owned(),
+        };
+        let wrong = content(Report::Clock(change(true)));
+        let value = plain(&wrong);
+        assert_eq!(value["key"], "house/roof/20000000000/clock-wrong");
+        assert_eq!(
+            (&value["kind"], &value["state"], &value["node"]),
+            (&json!("clock"), &json!("clock-wrong"), &json!("roof"))
+        );
+        let sentence = "node roof of house: the clock of the node is 3600.0 s ahead of most nodes";
+        assert_eq!(value["sentence"], sentence);
+        let (subject, text) = mail(&wrong);
+        assert_eq!(subject, "house: clock-wrong, roof");
+        for part in [
+            "Node:        roof\nState:       clock-wrong\nFound at:    1970-01-01T00:00:20Z\n",
+            "Reason:      2 of 3 nodes agree on another time\n",
+            sentence,
+        ] {
+            assert!(text.contains(part), "{part}\n{text}");
+        }
+        let managed = for_alertmanager(&wrong);
+        assert_eq!(managed[0]["labels"]["node"], "roof");
+        assert_eq!(managed[0]["startsAt"], "1970-01-01T00:00:20Z");
+        let over = for_alertmanager(&content(Report::Clock(change(false))));
+        assert_eq!(over[0]["labels"], managed[0]["labels"]);
+        assert_eq!(over[0]["endsAt"], "1970-01-01T00:00:20Z");
     }
 }

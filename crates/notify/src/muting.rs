@@ -1,5 +1,6 @@
 //! Maintenance of the structures: which notices are muted, and until when.
 
+use crate::content::{Concern, Subject};
 use spandrel_bus::{Maintenance, Name};
 
 impl Change {
@@ -64,8 +65,12 @@ impl Muting {
             .collect()
     }
 
-    /// Returns the period that mutes a part of a structure, or the structure itself for `None`.
-    pub(crate) fn of(&self, structure: &Name, part: Option<&Name>) -> Option<&Maintenance> {
+    /// Returns the period that mutes the notices about a subject.
+    ///
+    /// Maintenance of a parameter does not mute the clock of a node that has the same name.
+    pub(crate) fn of(&self, subject: &Subject) -> Option<&Maintenance> {
+        let (structure, part, concern) = subject;
+        let part = part.as_ref().filter(|_| *concern != Concern::Clock);
         let mut periods = self.periods.iter();
         periods.find(|period| period.structure == *structure && period.covers(part))
     }
@@ -91,15 +96,22 @@ mod tests {
             Some(Change::Begins(period.clone()))
         );
         let house = name("house");
-        assert!(muting.of(&house, Some(&name("deck"))).is_some());
-        assert!(muting.of(&house, Some(&name("pier"))).is_none());
-        assert!(muting.of(&house, None).is_none());
+        let is_muted = |part: Option<&str>, concern| {
+            let subject = (house.clone(), part.map(name), concern);
+            muting.of(&subject).is_some()
+        };
+        assert!(is_muted(Some("deck"), Concern::Present));
+        assert!(!is_muted(Some("deck"), Concern::Clock));
+        assert!(!is_muted(Some("pier"), Concern::Present));
+        assert!(!is_muted(None, Concern::Present));
         assert_eq!(muting.expire(99), []);
         assert_eq!(muting.expire(100), [Change::Expired(period)]);
         assert!(muting.of_structure(&house).is_empty());
         // The clock of the sender is a year ahead.
         let year = 365 * 86_400_000_000_000;
         muting.take(maintenance(None, year, year + 5), 0);
+        let clock = (house, Some(name("roof")), Concern::Clock);
+        assert!(muting.of(&clock).is_some());
         assert_eq!(muting.expire(Maintenance::LONGEST_NS).len(), 1);
     }
 

@@ -67,7 +67,7 @@ impl Wish {
     fn repeats(&self, content: &Content) -> bool {
         let stands = match &content.report {
             Report::Alert(alert) => alert.stands(),
-            Report::Monitoring(_) | Report::Judgement(_) => content.is_open(),
+            Report::Monitoring(_) | Report::Judgement(_) | Report::Clock(_) => content.is_open(),
             Report::Summary(_) | Report::Earthquake(_) => false,
         };
         let told_as = match content.state() {
@@ -198,7 +198,8 @@ impl Outbox {
             Report::Monitoring(_)
             | Report::Summary(_)
             | Report::Judgement(_)
-            | Report::Earthquake(_) => true,
+            | Report::Earthquake(_)
+            | Report::Clock(_) => true,
         };
         for place in &mut self.boxes {
             let is_wished = place.wish.wants(content.state());
@@ -225,7 +226,7 @@ impl Outbox {
             let ends_held = is_latest && is_end && place.end_held(content);
             if is_wished && is_news && !ends_held {
                 place.admit(content, moment);
-                let period = self.muting.of(&of.0, of.1.as_ref());
+                let period = self.muting.of(&of);
                 self.muted += u64::from(period.is_some());
                 place.release(&self.muting, moment, &mut self.changed);
                 self.given_up += place.limit(&mut self.changed);
@@ -295,6 +296,19 @@ impl Outbox {
         }
         self.changed.insert(structure.clone());
         true
+    }
+
+    /// Returns the nodes whose last notice says that their clock is wrong.
+    pub(crate) fn wrong_clocks(&self, structure: &Name) -> Vec<Name> {
+        let wrong = self
+            .last
+            .values()
+            .filter_map(|content| match &content.report {
+                Report::Clock(change) if change.is_wrong => Some(change),
+                _ => None,
+            });
+        let own = wrong.filter(|change| change.structure == *structure);
+        own.map(|change| change.node.clone()).collect()
     }
 
     /// Begins or ends maintenance. Returns the change.
@@ -471,7 +485,7 @@ impl Outbox {
         for (receiver, place) in self.boxes.iter_mut().enumerate() {
             if place.waiting.is_empty() {
                 for (of, (content, next)) in &mut place.standing {
-                    if *next > now || self.muting.of(&of.0, of.1.as_ref()).is_some() {
+                    if *next > now || self.muting.of(of).is_some() {
                         continue;
                     }
                     *next = now + REPEAT_EVERY;

@@ -1,5 +1,6 @@
 //! Notices with made-up values, for `spandrel notify --test` and for the check of templates.
 
+use crate::clocks::ClockChange;
 use crate::content::{Circumstances, Content, Report, Summary};
 use crate::origin::Origin;
 use spandrel_bus::{
@@ -70,6 +71,14 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         }],
     };
     let judgement = judgement(&structure, part_judged, interval);
+    let clock = ClockChange {
+        structure: structure.clone(),
+        node: Name::new("test-node")?,
+        time_ns: TIME_NS,
+        is_wrong: true,
+        what: "TEST: the clock of the node is 3600.0 s ahead of most nodes (made up)".to_owned(),
+        why: "TEST: 2 of 3 nodes agree on another time (made up)".to_owned(),
+    };
     let summary = Summary {
         structure,
         time_ns: TIME_NS,
@@ -80,6 +89,7 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         Report::Alert(alert),
         Report::Monitoring(display),
         Report::Summary(summary),
+        Report::Clock(clock),
         Report::Judgement(judgement),
     ];
     let circumstances = Circumstances {

@@ -1,5 +1,6 @@
 //! Connects the outbox to the bus and to the receivers.
 
+use crate::clocks::{ClockChange, Clocks};
 use crate::content::{Earthquake, Facts, Report, Scene, alert_key, iso_8601, judgement_key};
 use crate::error::NotifyError;
 use crate::memory::{Memory, Recalled, Situation};
@@ -24,14 +25,14 @@ use std::time::{Duration, Instant};
 use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
-/// The alerts and the monitoring, and what shows whether the samples are measured. A new alert
-/// service reports changes that were decided while no link existed.
+/// The alerts, the monitoring and the clocks, and what shows whether the samples are measured. An
+/// event precedes the status with its consequences. A new alert service reports changes that were decided while no link existed.
 const NEEDS: Needs = Needs {
     topics: &[
+        DisplayTopic::Events,
         DisplayTopic::Statuses,
         DisplayTopic::Monitoring,
         DisplayTopic::Judgements,
-        DisplayTopic::Events,
         DisplayTopic::Alerts,
     ],
     services: &[Service::Alert, Service::Sensor],
@@ -120,6 +121,9 @@ struct Source {
     earthquake: Option<Earthquake>,
     /// Reports of earthquakes whose notices are not composed yet. The queue of the listener bounds it.
     reported: Vec<Event>,
+    clocks: Clocks,
+    /// Changes of clocks whose notices are not composed yet. The nodes of the structure bound it.
+    clock_changes: Vec<ClockChange>,
     /// Number of alerts received.
     taken: u64,
     simulated: LiveWatch,
@@ -170,7 +174,9 @@ impl NotifyService {
             };
             for monitored in structures {
                 let Monitored {
-                    keys, remembering, ..
+                    structure,
+                    keys,
+                    remembering,
                 } = monitored;
                 let memory = remembering
                     .as_ref()
@@ -197,6 +203,16 @@ impl NotifyService {
                     judged: BTreeMap::new(),
                     earthquake: None,
                     reported: Vec::new(),
+                    clocks: Clocks::new(
+                        keys.structure().clone(),
+                        structure
+                            .nodes()
+                            .iter()
+                            .filter_map(|node| Name::new(node.name()).ok())
+                            .collect(),
+                        service.outbox.wrong_clocks(keys.structure()),
+                    ),
+                    clock_changes: Vec::new(),
                     taken: 0,
                     simulated: bus.watch_live(keys.all_simulated()).await?,
                     maintenance: bus
@@ -338,7 +354,7 @@ impl NotifyService {
     async fn take(&mut self) -> Result<(), NotifyError> {
         let moment = self.moment();
         for source in &mut self.sources {
-            source.gather(&mut self.outbox, moment.now);
+            source.gather(&mut self.outbox, moment);
             source.maintain(&mut self.outbox, moment.wall_ns).await?;
             source.compose(&mut self.outbox, moment);
         }
@@ -403,7 +419,8 @@ impl NotifyService {
 
 impl Source {
     /// Processes what has arrived since the last call.
-    fn gather(&mut self, outbox: &mut Outbox, now: Duration) {
+    fn gather(&mut self, outbox: &mut Outbox, moment: Moment) {
+        let Moment { now, wall_ns } = moment;
         let mut told = Told::default();
         self.state.handle(Input::Now(now), &mut Vec::new());
         for input in self.listener.gather() {
@@ -428,10 +445,19 @@ impl Source {
                 Input::Event(event) if event.kind == EventKind::EarthquakeReport => {
                     self.reported.push(event.clone());
                 }
+                Input::Event(event) => {
+                    let change = self.clocks.take_event(event, now, wall_ns);
+                    self.clock_changes.extend(change);
+                }
+                Input::Status(status) if status.service.as_str() == Service::Ingest.as_str() => {
+                    let missed = self.clocks.take_status(status, now, wall_ns);
+                    self.clock_changes.extend(missed);
+                }
                 _ => {}
             }
             self.state.handle(input, &mut Vec::new());
         }
+        self.clock_changes.extend(self.clocks.look(now, wall_ns));
         self.catch_up(&told, outbox, now);
     }
 
@@ -551,9 +577,12 @@ impl Source {
             reports.push(Report::Judgement(display));
         }
         reports.extend(self.reported.drain(..).map(Report::Earthquake));
+        reports.extend(self.clock_changes.drain(..).map(Report::Clock));
+        // Without an alert service, its silence means nothing.
+        let sight = self.facts.has_alert_service.then_some(&mut self.sight);
         reports.extend(
-            self.sight
-                .look(self.origins.origin(), now, wall_ns)
+            sight
+                .and_then(|sight| sight.look(self.origins.origin(), now, wall_ns))
                 .map(Report::Monitoring),
         );
         if has_changed || !reports.is_empty() {
@@ -609,6 +638,7 @@ fn facts(monitored: &Monitored, settings: &NotifySettings) -> Facts {
             .map(|parameter| parameter.name().to_owned())
             .collect(),
         channels: channels.collect(),
+        has_alert_service: structure.is_filtered(),
         public_url: settings.base_url(),
     }
 }

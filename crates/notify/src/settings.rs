@@ -160,6 +160,8 @@ fn usual_states() -> Vec<NoticeState> {
         NoticeState::Blind,
         NoticeState::Watching,
         NoticeState::LastingLoss,
+        NoticeState::ClockWrong,
+        NoticeState::ClockRight,
     ]
 }
 
@@ -403,7 +405,7 @@ fn check_states(states: &[NoticeState], place: &str) -> Result<(), NotifyError> 
         "empty".to_owned(),
         "one or more of learning, undecided, normal, pending, raised, unconfirmed, acknowledged, \
          cleared, softening-in-motion, blind, degraded, watching, \
-         lasting-loss, stiffer, earthquake-report",
+         lasting-loss, stiffer, earthquake-report, clock-wrong, clock-right",
     );
     Err(NotifyError::Setting {
         place: place.to_owned(),

@@ -3,7 +3,8 @@
 use serde::Deserialize;
 use spandrel_bus::{AlertState, ChangeKind, MonitoringState};
 
-/// A state of an alert or of the monitoring of a structure, or a lasting change of a quantity.
+/// A state of an alert, of the monitoring of a structure or of the clock of a node, or a lasting
+/// change of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum NoticeState {
@@ -37,14 +38,22 @@ pub enum NoticeState {
     Stiffer,
     /// A report of an earthquake is ready.
     EarthquakeReport,
+    /// The clock of a node differs from that of most nodes, or no majority of the nodes agrees.
+    ClockWrong,
+    /// The clock of such a node agrees again.
+    ClockRight,
 }
 
 /// Name of [`NoticeState::EarthquakeReport`], as that of the event.
 const EARTHQUAKE_REPORT: &str = "earthquake-report";
+/// Name of [`NoticeState::ClockWrong`], as that of the event.
+const CLOCK_WRONG: &str = "clock-wrong";
+/// Name of [`NoticeState::ClockRight`], as that of the event.
+const CLOCK_RIGHT: &str = "clock-right";
 
 impl NoticeState {
     /// All states.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::Learning,
         Self::Normal,
         Self::Pending,
@@ -60,6 +69,8 @@ impl NoticeState {
         Self::LastingLoss,
         Self::Stiffer,
         Self::EarthquakeReport,
+        Self::ClockWrong,
+        Self::ClockRight,
     ];
 
     /// Returns the name of the state, as in the configuration.
@@ -81,6 +92,8 @@ impl NoticeState {
             Self::LastingLoss => ChangeKind::LastingLoss.as_str(),
             Self::Stiffer => ChangeKind::Stiffer.as_str(),
             Self::EarthquakeReport => EARTHQUAKE_REPORT,
+            Self::ClockWrong => CLOCK_WRONG,
+            Self::ClockRight => CLOCK_RIGHT,
         }
     }
 
@@ -93,7 +106,8 @@ impl NoticeState {
             | Self::Unconfirmed
             | Self::Blind
             | Self::Degraded
-            | Self::LastingLoss => true,
+            | Self::LastingLoss
+            | Self::ClockWrong => true,
             Self::Learning
             | Self::Normal
             | Self::Acknowledged
@@ -101,7 +115,8 @@ impl NoticeState {
             | Self::SofteningInMotion
             | Self::Watching
             | Self::Stiffer
-            | Self::EarthquakeReport => false,
+            | Self::EarthquakeReport
+            | Self::ClockRight => false,
         }
     }
 }

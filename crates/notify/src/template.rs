@@ -197,6 +197,10 @@ pub(crate) fn variables(content: &Content) -> Map<String, serde_json::Value> {
             }
         }
         Report::Earthquake(_) => set("kind", json!("earthquake-report")),
+        Report::Clock(change) => {
+            set("kind", json!("clock"));
+            set("reasons", json!([change.why]));
+        }
         Report::Summary(summary) => {
             set("kind", json!("summary"));
             set("lines", json!(summary.lines));

@@ -118,7 +118,7 @@ impl Receiver {
         let wish = &self.wish;
         let is_free = |held: &mut Held| {
             let content = &held.content;
-            if let Some(period) = muting.of(content.structure(), content.part()) {
+            if let Some(period) = muting.of(&content.subject()) {
                 held.muted_by = Some(format!("maintenance by {} ({})", period.who, period.reason));
                 return false;
             }

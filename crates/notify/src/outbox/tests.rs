@@ -391,7 +391,8 @@ fn send(outbox: &mut Outbox, moment: Moment) -> Vec<String> {
             Report::Alert(_)
             | Report::Monitoring(_)
             | Report::Judgement(_)
-            | Report::Earthquake(_) => {
+            | Report::Earthquake(_)
+            | Report::Clock(_) => {
                 sent.push(state.to_owned());
             }
         }
@@ -626,4 +627,61 @@ fn a_lasting_loss_of_replayed_samples_is_sent_to_nobody() {
     replayed.circumstances.origin = Origin::Replayed;
     outbox.take(&replayed, at(s(0)));
     assert_eq!((outbox.due(s(0)), outbox.simulated), (Vec::new(), 1));
+}
+
+/// Returns a notice about the clock of the roof.
+fn clock(second: u64, is_wrong: bool) -> Content {
+    content(Report::Clock(crate::clocks::ClockChange {
+        structure: name("house"),
+        node: name("roof"),
+        time_ns: i64::try_from(s(second).as_nanos()).unwrap(),
+        is_wrong,
+        what: "the clock of the node is 3600.0 s ahead of most nodes".to_owned(),
+        why: "2 of 3 nodes agree on another time".to_owned(),
+    }))
+}
+
+#[test]
+fn wrong_clock_is_repeated_to_alertmanager_until_it_is_right() {
+    let wish = Wish {
+        name: "manager".to_owned(),
+        states: vec![NoticeState::ClockWrong, NoticeState::ClockRight],
+        repeats: true,
+        ..Wish::default()
+    };
+    let mut outbox = Outbox::new(vec![wish]);
+    outbox.take(&clock(0, true), at(s(0)));
+    assert_eq!(outbox.wrong_clocks(&name("house")), [name("roof")]);
+    let mut sent = Vec::new();
+    for second in 0..200 {
+        if second == 90 {
+            outbox.take(&clock(90, false), at(s(second)));
+        }
+        for notice in outbox.due(s(second)) {
+            sent.push((second, notice.content.state().unwrap()));
+            outbox.done(notice.receiver, true, s(second));
+        }
+    }
+    let wrong = NoticeState::ClockWrong;
+    assert_eq!(
+        sent,
+        [(0, wrong), (60, wrong), (90, NoticeState::ClockRight)]
+    );
+    assert!(outbox.wrong_clocks(&name("house")).is_empty());
+}
+
+#[test]
+fn maintenance_of_the_structure_mutes_a_wrong_clock_and_that_of_a_parameter_does_not() {
+    let sent_during = |part: Option<&str>| {
+        let wish = Wish {
+            states: vec![NoticeState::ClockWrong],
+            ..Wish::default()
+        };
+        let mut outbox = Outbox::new(vec![wish]);
+        outbox.maintain(maintenance(part, 0, 100_000_000_000), 0);
+        outbox.take(&clock(10, true), at(s(10)));
+        (outbox.due(s(10)).len(), outbox.muted)
+    };
+    assert_eq!(sent_during(Some("roof")), (1, 0));
+    assert_eq!(sent_during(None), (0, 1));
 }
