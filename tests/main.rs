@@ -21,6 +21,7 @@ mod classes;
 mod clocks;
 mod conditions;
 mod container;
+mod corpus;
 mod crash;
 mod damage;
 mod deploy;

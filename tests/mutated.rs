@@ -38,7 +38,7 @@ const NEWEST: Place = Place {
     sequence: 200,
 };
 
-fn identity(kind: &'static str, version: u16, structure: &Structure) -> Identity {
+pub fn identity(kind: &'static str, version: u16, structure: &Structure) -> Identity {
     Identity {
         kind,
         version,
@@ -54,7 +54,7 @@ fn distributed() -> Structure {
 }
 
 /// Returns the state of the identification after three seconds of frames.
-fn of_identification(structure: &Structure) -> IdentificationState {
+pub fn of_identification(structure: &Structure) -> IdentificationState {
     let mut core = Identification::new(structure, "identify").unwrap();
     let block = FrameBlock {
         header: Header {
@@ -158,7 +158,7 @@ fn of_station(structure: &Structure) -> FusionState {
 }
 
 /// Bytes that are written unchanged.
-struct Raw(Vec<u8>);
+pub struct Raw(pub Vec<u8>);
 
 impl Serialize for Raw {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
@@ -172,7 +172,7 @@ impl Serialize for Raw {
 
 /// Suppresses the backtrace of panics that are caught while a state is decoded (the dimensions of a
 /// matrix can overflow). A backtrace would allocate memory.
-fn keep_silent_of_what_is_caught() {
+pub fn keep_silent_of_what_is_caught() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         let told = std::panic::take_hook();

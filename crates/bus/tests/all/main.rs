@@ -8,5 +8,11 @@
 )]
 
 mod bus;
+#[path = "../../../../fuzz/decoders/messages.rs"]
+#[expect(
+    dead_code,
+    reason = "only the fuzzer selects the type by the first byte"
+)]
+mod decoders;
 mod mutated;
 mod samples_json;
