@@ -32,6 +32,7 @@ mod estimate;
 mod faults;
 mod feed;
 mod history;
+mod independent;
 mod judge;
 mod judging;
 mod memory;

@@ -23,7 +23,7 @@ const PATH: &str = "/hooks/s3cret-path";
 /// A received request: head and body, and whether it was accepted.
 #[derive(Debug)]
 pub struct Request {
-    head: String,
+    pub head: String,
     pub body: Value,
     is_taken: bool,
 }
@@ -228,7 +228,7 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
 }
 
 /// Returns an alert of storey 2 as the alert service publishes it.
-fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
+pub fn alert(site: &Site, seconds: i64, state: AlertState) -> AlertMessage {
     AlertMessage {
         structure: Name::new(site.structure().name()).unwrap(),
         parameter: Name::new("storey-2").unwrap(),
