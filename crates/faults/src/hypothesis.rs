@@ -4,10 +4,12 @@
 //! common `u`. A faulty channel is `xᵢ = g exp(−iωτ) Tᵢ u` with an unknown factor `g` and delay
 //! `τ`, or does not contain `u` at all. The responses depend little on the stiffness in this band.
 //! What remains of the dependence is one unknown, the frequency scale of the structure, so that
-//! softening is not mistaken for a fault of the ground sensor.
+//! softening is not mistaken for a fault of the ground sensor. The resonances limit it, so that a
+//! fault of the ground sensor is not mistaken for softening.
 
 use crate::channel::Fault;
 use crate::memory::Memory;
+use crate::resonance::{OfScales, Resonances, ln_prior};
 use nalgebra::Complex;
 
 /// Prior odds of a sound channel against a faulty one.
@@ -164,6 +166,7 @@ impl Comparison {
 pub(crate) fn compare(
     memory: &Memory,
     responses: &Responses,
+    resonances: &Resonances,
     expected: &[Expected],
 ) -> Option<Comparison> {
     let present = memory.present();
@@ -176,6 +179,7 @@ pub(crate) fn compare(
         spectra: &everything,
         responses,
         expected,
+        of_resonances: resonances.ln_likelihoods(memory.wide(), memory.effective_windows()),
         effective_windows: memory.effective_windows(),
     };
     let mut used: Vec<bool> = present.to_vec();
@@ -288,6 +292,8 @@ struct Judge<'a> {
     spectra: &'a [Spectra],
     responses: &'a Responses,
     expected: &'a [Expected],
+    /// What the resonances of each channel show of the frequency scale.
+    of_resonances: Vec<Option<OfScales>>,
     effective_windows: f64,
 }
 
@@ -299,8 +305,10 @@ impl Judge<'_> {
             used[faulty] = false;
         }
         let prior = faulty.map_or(0.0, |_| -libm::log(PRIOR_ODDS));
+        let resonances = self.of_resonances.iter().zip(&used);
+        let resonances = resonances.filter_map(|(one, used)| one.as_ref().filter(|_| *used));
+        let of_scales = ln_prior(resonances, &SCALES, SCALE_STD);
         let of_scale = |(index, spectra): (usize, &Spectra)| {
-            let of_scale = libm::log(SCALES[index]) / SCALE_STD;
             let sums = spectra.sums(&used);
             let sound = (0..used.len())
                 .filter(|channel| used[*channel])
@@ -314,7 +322,7 @@ impl Judge<'_> {
                 let relation = self.relation(index, &sums, &used, channel);
                 relation.ln_faulty(&self.expected[channel], self.responses.fundamental_hz)
             });
-            (sound + faulty + prior - 0.5 * of_scale * of_scale, index)
+            (sound + faulty + prior + of_scales[index], index)
         };
         let all = self.spectra.iter().enumerate().map(of_scale);
         all.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, 0))

@@ -19,6 +19,7 @@ mod memory;
 mod offset;
 mod profile;
 mod reference;
+mod resonance;
 mod sensor_check;
 mod spectrum;
 

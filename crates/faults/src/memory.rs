@@ -1,5 +1,6 @@
 //! Cross-spectra of a group, with exponential forgetting.
 
+use crate::resonance::WideSpectra;
 use crate::spectrum::{Coefficients, OVERLAP};
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,8 @@ pub(crate) struct Memory {
     kept: f64,
     /// `Σ x̄ᵢ xⱼ` per bin, row and column.
     cross: Vec<(f64, f64)>,
+    /// Spectra around the resonances.
+    wide: WideSpectra,
     /// Which channels the sums contain.
     present: Vec<bool>,
     /// Sums of the power of the windows and of its square.
@@ -27,6 +30,7 @@ impl Memory {
         Self {
             kept: libm::exp2(-1.0 / (half_life * OVERLAP as f64)),
             cross: Vec::new(),
+            wide: WideSpectra::default(),
             present: vec![false; channels],
             power: (0.0, 0.0),
             weight: 0.0,
@@ -36,26 +40,24 @@ impl Memory {
 
     /// Adds a window. A channel that appears or disappears starts the memory again.
     pub(crate) fn add(&mut self, window: &Coefficients) {
-        let bins = window
-            .of_channels
-            .iter()
-            .flatten()
-            .next()
-            .map_or(0, Vec::len);
+        let count = window.of_channels.len();
+        let low = (0..count).map(|channel| window.low(channel));
+        let low: Vec<Option<&[Complex<f64>]>> = low.collect();
+        let bins = low.iter().flatten().next().map_or(0, |row| row.len());
         let present: Vec<bool> = window.of_channels.iter().map(Option::is_some).collect();
-        let count = present.len();
         if present != self.present || self.cross.len() != bins * count * count {
             self.cross = vec![(0.0, 0.0); bins * count * count];
+            self.wide.clear();
             (self.power, self.weight, self.added) = ((0.0, 0.0), 0.0, 0);
             self.present = present;
         }
         let mut powers = Vec::with_capacity(count);
-        for (i, row) in window.of_channels.iter().enumerate() {
+        for (i, row) in low.iter().enumerate() {
             let Some(row) = row else { continue };
             powers.push(row.iter().map(Complex::norm_sqr).sum::<f64>());
-            for (j, column) in window.of_channels.iter().enumerate() {
+            for (j, column) in low.iter().enumerate() {
                 let Some(column) = column else { continue };
-                for (bin, (x, y)) in row.iter().zip(column).enumerate() {
+                for (bin, (x, y)) in row.iter().zip(*column).enumerate() {
                     let sum = &mut self.cross[(bin * count + i) * count + j];
                     let product = x.conj() * y;
                     *sum = (
@@ -65,6 +67,7 @@ impl Memory {
                 }
             }
         }
+        self.wide.add(window, self.kept);
         powers.sort_by(f64::total_cmp);
         let typical = powers.get(powers.len() / 2).copied().unwrap_or(0.0);
         self.power.0 = self.kept * self.power.0 + typical;
@@ -93,6 +96,11 @@ impl Memory {
         sum / (self.bins() as f64 * self.weight).max(f64::MIN_POSITIVE)
     }
 
+    /// Returns the spectra around the resonances.
+    pub(crate) fn wide(&self) -> &WideSpectra {
+        &self.wide
+    }
+
     /// Returns whether each channel takes part.
     pub(crate) fn present(&self) -> &[bool] {
         &self.present
@@ -114,6 +122,7 @@ impl Memory {
     /// Returns `true` if the memory belongs to this many channels.
     pub(crate) fn fits(&self, channels: usize) -> bool {
         self.present.len() == channels
+            && self.wide.fits(channels)
             && self
                 .cross
                 .len()

@@ -8,6 +8,7 @@ use crate::memory::Memory;
 use crate::offset::Offsets;
 use crate::profile::{BandFilters, BandPowers, ProfileReference, most_probable_exchange};
 use crate::reference::{ObservedRelation, SensorReference};
+use crate::resonance::Resonances;
 use crate::spectrum::{Coefficients, OVERLAP, Spectrum, Windows};
 use serde::{Deserialize, Serialize};
 use spandrel_structure::{CommonMotion, Structure};
@@ -23,7 +24,14 @@ const FIRST: u64 = 3;
 const IN_DOUBT: f64 = 0.5;
 
 /// Probability of a fault above which a channel is faulty.
-const FAULTY: f64 = 0.99;
+///
+/// A sound channel exceeds this in less than one of 900 independent comparisons, because the prior
+/// odds of a fault are 1 to 100. With four channels and five independent comparisons, this is less
+/// than one false alarm in 40 records.
+const FAULTY: f64 = 0.9;
+
+/// Probability of an exchange above which both channels are faulty.
+const EXCHANGED: f64 = 0.99;
 
 /// Probability of a fault below which a faulty channel counts as sound again.
 const SOUND: f64 = 0.05;
@@ -107,6 +115,7 @@ struct Group {
     noise_std: Vec<f64>,
     spectrum: Spectrum,
     responses: Responses,
+    resonances: Resonances,
     /// Expected without any records.
     usual: Vec<Expected>,
     expected: Vec<Expected>,
@@ -210,7 +219,7 @@ impl SensorCheck {
                 .iter()
                 .map(|memory| {
                     let is_filled = memory.added() >= FIRST;
-                    let compared = || compare(memory, &group.responses, &group.expected);
+                    let compared = || group.compare(memory);
                     is_filled.then(compared).flatten()
                 })
                 .collect::<Vec<_>>();
@@ -404,7 +413,7 @@ impl SensorCheck {
     pub fn restore(&mut self, state: SensorCheckState) -> bool {
         let fits = |(group, state): (&Group, &GroupState)| {
             let count = group.channels.len();
-            state.windows.fits(2 * count)
+            group.spectrum.fits(&state.windows, 2 * count)
                 && state.memories.len() == HALF_LIVES.len()
                 && state.memories.iter().all(|memory| memory.fits(count))
                 && state.offsets.fits(count)
@@ -504,10 +513,11 @@ impl Group {
                 noise_std: own.iter().map(|member| noise_std[*member]).collect(),
                 responses: Responses::new(
                     own.len(),
-                    spectrum.frequencies_hz().collect(),
+                    spectrum.low_hz(),
                     motion.fundamental_hz(),
                     |member, hz| motion.response(own[member], hz),
                 ),
+                resonances: Resonances::new(motion, &own, &spectrum.wide_hz()),
                 usual: vec![expected; own.len()],
                 expected: vec![expected; own.len()],
                 rigid: own
@@ -525,7 +535,7 @@ impl Group {
     fn empty(&self) -> GroupState {
         let count = self.channels.len();
         GroupState {
-            windows: Windows::new(2 * count),
+            windows: self.spectrum.windows(2 * count),
             memories: HALF_LIVES
                 .iter()
                 .map(|half_life| Memory::new(count, *half_life))
@@ -536,6 +546,10 @@ impl Group {
             extremes: vec![Extremes::default(); count],
             findings: vec![Findings::default(); count],
         }
+    }
+
+    fn compare(&self, memory: &Memory) -> Option<Comparison> {
+        compare(memory, &self.responses, &self.resonances, &self.expected)
     }
 
     /// Searches a window for faults that the common motion does not show.
@@ -573,7 +587,7 @@ impl Group {
         let mut evidence: Vec<Evidence> = of_own.collect();
         if let Some(exchange) = most_probable_exchange(&profiles, &references) {
             let (first, second) = exchange.channels;
-            if exchange.probability > FAULTY {
+            if exchange.probability > EXCHANGED {
                 evidence[first] = Evidence::Fault(Fault::Exchanged);
                 evidence[second] = Evidence::Fault(Fault::Exchanged);
             }

@@ -1,4 +1,5 @@
-//! Fourier coefficients of the low band over overlapping windows, one sample at a time.
+//! Fourier coefficients of the low band and of the resonances over overlapping windows, one sample at
+//! a time.
 
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,16 @@ pub(crate) const OVERLAP: usize = 4;
 /// First and last bin of the band. The bins have a distance of 1/24 of the fundamental, so that the
 /// band extends from 0.125 to 0.33 times the fundamental. A Hann window separates bin 3 from a
 /// constant offset.
-const BINS: std::ops::RangeInclusive<usize> = 3..=8;
+const LOW_BINS: std::ops::RangeInclusive<usize> = 3..=8;
+
+/// Number of bins of the low band.
+const LOW_COUNT: usize = 6;
+
+/// Last bin of the resonances: twice the fundamental. A Hann window covers every second bin.
+const LAST_BIN: usize = 48;
+
+/// Largest bin as a share of the samples of a window.
+const HIGHEST: f64 = 0.4;
 
 /// Largest share of missing samples in a window. The last value replaces a missing sample.
 const MISSING_SHARE: f64 = 0.25;
@@ -25,6 +35,8 @@ pub(crate) struct Spectrum {
     rate_hz: f64,
     /// `exp(−2πi n / samples)` for each `n`.
     turns: Vec<Complex<f64>>,
+    /// The low band, and every second bin above it.
+    bins: Vec<usize>,
 }
 
 /// The windows that are being filled.
@@ -62,16 +74,49 @@ impl Spectrum {
             let (sin, cos) = libm::sincos(std::f64::consts::TAU * n as f64 / samples as f64);
             Complex::new(cos, -sin)
         };
+        let above = (LOW_BINS.end() + 2..=LAST_BIN).step_by(2);
+        let is_sampled = |bin: &usize| *bin as f64 <= HIGHEST * samples as f64;
         Some(Self {
             samples,
             rate_hz,
             turns: (0..samples).map(turn).collect(),
+            bins: LOW_BINS.chain(above.filter(is_sampled)).collect(),
         })
     }
 
-    /// Returns the frequencies of the bins (Hz).
-    pub(crate) fn frequencies_hz(&self) -> impl Iterator<Item = f64> + '_ {
-        BINS.map(|bin| bin as f64 * self.rate_hz / self.samples as f64)
+    /// Creates empty windows for a number of channels.
+    pub(crate) fn windows(&self, channels: usize) -> Windows {
+        Windows {
+            count: 0,
+            last: vec![0.0; channels],
+            open: vec![Window::new(channels, self.bins.len()); OVERLAP],
+        }
+    }
+
+    /// Returns `true` if the windows belong to this spectrum and to this many channels.
+    pub(crate) fn fits(&self, windows: &Windows, channels: usize) -> bool {
+        let is_window = |window: &Window| {
+            window.sums.len() == channels * self.bins.len() && window.missing.len() == channels
+        };
+        windows.last.len() == channels
+            && windows.open.len() == OVERLAP
+            && windows.open.iter().all(is_window)
+    }
+
+    /// Returns the frequencies of the low band (Hz).
+    pub(crate) fn low_hz(&self) -> Vec<f64> {
+        self.frequencies_hz()[..LOW_COUNT].to_vec()
+    }
+
+    /// Returns the frequencies of the resonance bins (Hz).
+    pub(crate) fn wide_hz(&self) -> Vec<f64> {
+        self.frequencies_hz()[LOW_COUNT - 1..].to_vec()
+    }
+
+    fn frequencies_hz(&self) -> Vec<f64> {
+        let bins = self.bins.iter();
+        bins.map(|bin| *bin as f64 * self.rate_hz / self.samples as f64)
+            .collect()
     }
 
     /// Returns the length of a window (s).
@@ -98,7 +143,7 @@ impl Spectrum {
         values: impl Iterator<Item = f64>,
     ) -> Option<Coefficients> {
         let quarter = self.samples / OVERLAP;
-        let bins = BINS.count();
+        let bins = self.bins.len();
         let place = |phase: usize, count: u64| {
             let since = count.checked_sub((phase * quarter) as u64)?;
             Some((since % self.samples as u64) as usize)
@@ -116,7 +161,7 @@ impl Spectrum {
                 window.missing[channel] += u32::from(is_missing);
                 let weighted = value * (0.5 - 0.5 * self.turns[place].re);
                 let sums = &mut window.sums[channel * bins..(channel + 1) * bins];
-                for (sum, bin) in sums.iter_mut().zip(BINS) {
+                for (sum, bin) in sums.iter_mut().zip(&self.bins) {
                     let turn = self.turns[bin * place % self.samples];
                     sum.0 += weighted * turn.re;
                     sum.1 += weighted * turn.im;
@@ -127,7 +172,7 @@ impl Spectrum {
         for (phase, window) in windows.open.iter_mut().enumerate() {
             if place(phase, windows.count) == Some(self.samples - 1) {
                 complete = Some(self.coefficients(window));
-                *window = Window::new(window.missing.len());
+                *window = Window::new(window.missing.len(), bins);
             }
         }
         windows.count += 1;
@@ -140,7 +185,7 @@ impl Spectrum {
             let values = sums.iter().map(|(re, im)| Complex::new(*re, *im));
             (*missing <= most).then(|| values.collect())
         };
-        let channels = window.sums.chunks(BINS.count()).zip(&window.missing);
+        let channels = window.sums.chunks(self.bins.len()).zip(&window.missing);
         Coefficients {
             of_channels: channels.map(of_channel).collect(),
         }
@@ -148,6 +193,16 @@ impl Spectrum {
 }
 
 impl Coefficients {
+    /// Returns the coefficients of a channel in the low band.
+    pub(crate) fn low(&self, channel: usize) -> Option<&[Complex<f64>]> {
+        Some(low(self.of_channels[channel].as_ref()?))
+    }
+
+    /// Returns the coefficients of a channel in the resonance bins.
+    pub(crate) fn wide(&self, channel: usize) -> Option<&[Complex<f64>]> {
+        self.of_channels[channel].as_ref()?.get(LOW_COUNT - 1..)
+    }
+
     /// Returns one series per channel, of a window that contains two. These are the channels of the
     /// first half and their alternatives in the second half. The one that follows the other channels
     /// better is taken.
@@ -157,7 +212,9 @@ impl Coefficients {
             let pairs = self.of_channels.iter().zip(&alternatives).enumerate();
             let others = pairs.filter(|(other, _)| *other != channel);
             let both = others.flat_map(|(_, (own, other))| [own, other]);
-            both.flatten().map(|other| coherence(bins, other)).sum()
+            both.flatten()
+                .map(|other| coherence(low(bins), low(other)))
+                .sum()
         };
         let is_better: Vec<bool> = self
             .of_channels
@@ -179,6 +236,11 @@ impl Coefficients {
     }
 }
 
+/// Returns the coefficients of the low band.
+fn low(bins: &[Complex<f64>]) -> &[Complex<f64>] {
+    &bins[..LOW_COUNT.min(bins.len())]
+}
+
 /// Returns the coherence of two channels in the band of one window, 0 to 1.
 fn coherence(one: &[Complex<f64>], other: &[Complex<f64>]) -> f64 {
     let power = |bins: &[Complex<f64>]| bins.iter().map(Complex::norm_sqr).sum::<f64>();
@@ -187,29 +249,10 @@ fn coherence(one: &[Complex<f64>], other: &[Complex<f64>]) -> f64 {
     products.sum::<Complex<f64>>().norm_sqr() / both.max(f64::MIN_POSITIVE)
 }
 
-impl Windows {
-    /// Creates empty windows for a number of channels.
-    pub(crate) fn new(channels: usize) -> Self {
-        Self {
-            count: 0,
-            last: vec![0.0; channels],
-            open: vec![Window::new(channels); OVERLAP],
-        }
-    }
-
-    /// Returns `true` if the windows belong to this many channels.
-    pub(crate) fn fits(&self, channels: usize) -> bool {
-        let is_window = |window: &Window| {
-            window.sums.len() == channels * BINS.count() && window.missing.len() == channels
-        };
-        self.last.len() == channels && self.open.len() == OVERLAP && self.open.iter().all(is_window)
-    }
-}
-
 impl Window {
-    fn new(channels: usize) -> Self {
+    fn new(channels: usize, bins: usize) -> Self {
         Self {
-            sums: vec![(0.0, 0.0); channels * BINS.count()],
+            sums: vec![(0.0, 0.0); channels * bins],
             missing: vec![0; channels],
         }
     }
@@ -223,7 +266,7 @@ mod tests {
     fn complete(value: impl Fn(f64) -> f64, frames: usize) -> Vec<Coefficients> {
         let spectrum = Spectrum::new(1.0, 20.0).unwrap();
         assert_eq!(spectrum.window_s(), 24.0);
-        let mut windows = Windows::new(1);
+        let mut windows = spectrum.windows(1);
         let frames = 0..frames;
         let taken = frames.filter_map(|frame| {
             spectrum.take(&mut windows, std::iter::once(value(frame as f64 / 20.0)))

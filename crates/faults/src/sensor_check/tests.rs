@@ -488,3 +488,29 @@ fn spikes_that_a_screening_removes_make_no_sensor_faulty() {
     );
     assert_eq!(suspected(&screened(&spiked, &sound)), []);
 }
+
+#[test]
+fn factor_of_the_ground_is_named_and_not_taken_for_another_stiffness() {
+    let structure = table(&[
+        (
+            "stiffnesses-n-per-m = [2720, 2300, 2360]",
+            "stiffnesses-n-per-m = [2450, 1840, 2600]",
+        ),
+        ("ratio = 0.009", "ratio = 0.015"),
+    ]);
+    for factor in [0.7, 0.8, 1.25] {
+        let mut check = learnt_check();
+        let mut changes = Vec::new();
+        for mut values in frames(&structure) {
+            values[0] *= factor;
+            changes.extend(check.take(&values).into_iter().map(|change| (0.0, change)));
+        }
+        assert_eq!(suspected(&changes), [0], "{factor}: {changes:?}");
+        let health = check.health()[0].unwrap();
+        let Some(Fault::Gain(found)) = health.fault else {
+            panic!("{factor}: {health:?}")
+        };
+        assert_eq!(health.soundness, Soundness::Faulty, "{factor}: {health:?}");
+        assert!((found / factor - 1.0).abs() < 0.06, "{factor}: {found}");
+    }
+}
