@@ -27,9 +27,9 @@ use crate::{
 ///
 /// An empty field, or `NaN`, is a missing sample. Columns that the mapping does not name are
 /// ignored. A row has at most 1 MiB, and a table at most 10,000 columns.
-pub struct CsvReader {
+pub struct CsvReader<'a> {
     path: PathBuf,
-    csv: csv::Reader<Box<dyn Read + Send>>,
+    csv: csv::Reader<Box<dyn Read + Send + 'a>>,
     limit: RowLimit,
     record: ByteRecord,
     /// Line of the last row, or of the header before the first row.
@@ -53,7 +53,7 @@ enum RowTime {
     Counted { rate_hz: f64, rows: u64 },
 }
 
-impl CsvReader {
+impl<'a> CsvReader<'a> {
     /// Opens a file and reads its header.
     ///
     /// # Errors
@@ -67,7 +67,7 @@ impl CsvReader {
     /// # Errors
     /// The same as for [`CsvReader::open`], except for opening.
     pub fn new(
-        input: Box<dyn Read + Send>,
+        input: Box<dyn Read + Send + 'a>,
         path: &Path,
         mapping: &ColumnMapping,
     ) -> Result<Self, RecordError> {
@@ -93,7 +93,7 @@ impl CsvReader {
         let rest = limit
             .of(std::io::Cursor::new(head.split_off(layout.bytes_before)).chain(input))
             .chain(END_OF_LAST_LINE);
-        let input: Box<dyn Read + Send> = match layout.separator {
+        let input: Box<dyn Read + Send + 'a> = match layout.separator {
             Separator::Byte(_) => Box::new(rest),
             Separator::Blanks => Box::new(SingleBlanks::new(rest)),
         };
@@ -234,7 +234,7 @@ impl CsvReader {
     }
 }
 
-impl RecordReader for CsvReader {
+impl RecordReader for CsvReader<'_> {
     fn path(&self) -> &Path {
         &self.path
     }

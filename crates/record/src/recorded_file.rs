@@ -3,13 +3,13 @@
 mod frame_log_folder;
 mod members;
 
-use std::io;
+use std::io::{self, BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use crate::column_mapping::places_of;
 use crate::fault::Fault;
 use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, table, tdms, uff58};
-use crate::source::Source;
+use crate::source::{Source, open_file};
 use crate::unpacked::{Packed, Refusal, UnpackingBudget};
 use crate::{ColumnMapping, Format, RecordError, RecordedChannel, TimeUnit};
 
@@ -219,7 +219,7 @@ impl<'a> Reading<'a> {
     }
 
     /// Reads the content of a file. Only tables are read row by row.
-    fn source(&self, source: Source, place: &Place) -> Result<Contents, RecordError> {
+    fn source(&self, source: Source<'_>, place: &Place) -> Result<Contents, RecordError> {
         let path = place.path.as_path();
         let Some(format) = Format::of(source.head(), path) else {
             return Err(RecordError::UnknownFormat {
@@ -249,6 +249,10 @@ impl<'a> Reading<'a> {
                 let decoder = flate2::read::MultiGzDecoder::new(packed);
                 let unpacked = Source::new(self.budget.unpacked(decoder));
                 self.source(unpacked.map_err(|error| inner.unreadable(error))?, &inner)
+            }
+            // An archive has its list of files at the end. A file can be read there without the rest.
+            Format::Zip if place.archive.is_none() => {
+                self.zip(BufReader::new(open_file(path)?), place)
             }
             _ => {
                 let bytes = source
@@ -296,7 +300,7 @@ impl<'a> Reading<'a> {
                 remarks = told;
                 channels
             }
-            Format::Zip => return self.zip(bytes, place),
+            Format::Zip => return self.zip(Cursor::new(bytes), place),
             // Tables and gzip are streams. A path can be a folder, but bytes cannot.
             Format::Table | Format::Gzip | Format::Folder => Vec::new(),
         };

@@ -191,12 +191,16 @@ impl Recording {
 
 /// Opens a table for streaming, compressed by gzip or not. Returns `None` if the file has another
 /// format.
-fn table_reader(path: &Path, mapping: &ColumnMapping) -> Result<Option<CsvReader>, RecordError> {
+fn table_reader(
+    path: &Path,
+    mapping: &ColumnMapping,
+) -> Result<Option<CsvReader<'static>>, RecordError> {
     if path.is_dir() {
         return Ok(None);
     }
     let file = Source::open(path)?;
-    let reader = |source: Source| CsvReader::new(source.into_reader(), path, mapping).map(Some);
+    let reader =
+        |source: Source<'static>| CsvReader::new(source.into_reader(), path, mapping).map(Some);
     match Format::of(file.head(), path) {
         Some(Format::Table) => reader(file),
         Some(Format::Gzip) => {

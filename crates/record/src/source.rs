@@ -8,37 +8,22 @@ use std::fs::File;
 use std::io::{self, Cursor, Read};
 use std::path::Path;
 
+use crate::RecordError;
 use crate::table_layout::HEAD_BYTES;
-use crate::{Format, RecordError};
 
 /// A stream whose first bytes have already been read.
-pub(crate) struct Source {
-    /// The first bytes, or all bytes.
+pub(crate) struct Source<'a> {
     head: Vec<u8>,
-    rest: Box<dyn Read + Send>,
+    rest: Box<dyn Read + Send + 'a>,
 }
 
-impl Source {
+impl<'a> Source<'a> {
     /// Reads the first bytes of `input`.
-    pub(crate) fn new(input: impl Read + Send + 'static) -> io::Result<Self> {
-        let mut rest: Box<dyn Read + Send> = Box::new(input);
+    pub(crate) fn new(input: impl Read + Send + 'a) -> io::Result<Self> {
+        let mut rest: Box<dyn Read + Send + 'a> = Box::new(input);
         let mut head = Vec::new();
         rest.by_ref().take(HEAD_BYTES).read_to_end(&mut head)?;
         Ok(Self { head, rest })
-    }
-
-    /// Reads `input` into memory if its first bytes are those of a recording. Otherwise, reads only
-    /// the first bytes.
-    pub(crate) fn recording_in(mut input: impl Read) -> io::Result<Self> {
-        let mut head = Vec::new();
-        input.by_ref().take(HEAD_BYTES).read_to_end(&mut head)?;
-        if Format::of_content(&head).is_some() {
-            input.read_to_end(&mut head)?;
-        }
-        Ok(Self {
-            head,
-            rest: Box::new(io::empty()),
-        })
     }
 
     /// Opens a file and reads its first bytes.
@@ -54,11 +39,11 @@ impl Source {
 
     /// Returns the first bytes.
     pub(crate) fn head(&self) -> &[u8] {
-        &self.head[..self.head.len().min(HEAD_BYTES as usize)]
+        &self.head
     }
 
     /// Returns a reader of all bytes.
-    pub(crate) fn into_reader(self) -> Box<dyn Read + Send> {
+    pub(crate) fn into_reader(self) -> Box<dyn Read + Send + 'a> {
         Box::new(Cursor::new(self.head).chain(self.rest))
     }
 

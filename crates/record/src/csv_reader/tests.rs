@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::Quantity;
 
-fn reader(text: &str, mapping: &ColumnMapping) -> Result<CsvReader, RecordError> {
+fn reader(text: &str, mapping: &ColumnMapping) -> Result<CsvReader<'static>, RecordError> {
     CsvReader::new(
         Box::new(std::io::Cursor::new(text.to_owned())),
         Path::new("hall.csv"),

@@ -21,7 +21,7 @@ const COUNTING_HZ: f64 = 1.0;
 /// The options can name the time column. By default, it is the first column whose name is `t` or
 /// begins with `time`. If there is none, it is the first column if that contains dates.
 pub(crate) fn read(
-    source: Source,
+    source: Source<'_>,
     path: &Path,
     options: &ReadOptions,
 ) -> Result<Vec<RecordedChannel>, RecordError> {

@@ -1,7 +1,7 @@
 //! Reads the recordings in an archive or folder.
 
 use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
 use super::{Contents, Place, Reading, fault};
@@ -38,7 +38,11 @@ impl Reading<'_> {
     }
 
     /// Reads all recordings in a zip archive.
-    pub(super) fn zip(&self, bytes: Vec<u8>, place: &Place) -> Result<Contents, RecordError> {
+    pub(super) fn zip(
+        &self,
+        input: impl Read + Seek + Send,
+        place: &Place,
+    ) -> Result<Contents, RecordError> {
         let path = place.path.as_path();
         let refused = |what: String, error: zip::result::ZipError| {
             fault(
@@ -47,7 +51,7 @@ impl Reading<'_> {
                 Fault::of_file(what, format!("damaged ({error})"), "whole"),
             )
         };
-        let mut archive = zip::ZipArchive::new(self.packed(Cursor::new(bytes), place))
+        let mut archive = zip::ZipArchive::new(self.packed(input, place))
             .map_err(|error| refused("archive".to_owned(), error))?;
         if archive.len() > MOST_MEMBERS {
             let found = Fault::of_file(
@@ -70,7 +74,7 @@ impl Reading<'_> {
                 .map_err(|error| refused(format!("name of file {}", index + 1), error))?
                 .into_owned();
             let inside = place.inside(Format::Zip, path.join(&name));
-            let source = Source::recording_in(self.budget.unpacked(member))
+            let source = Source::new(self.budget.unpacked(member))
                 .map_err(|error| inside.unreadable(error))?;
             self.member(&mut members, name, source, &inside)?;
         }
@@ -82,7 +86,7 @@ impl Reading<'_> {
         &self,
         members: &mut Members,
         name: String,
-        source: Source,
+        source: Source<'_>,
         place: &Place,
     ) -> Result<(), RecordError> {
         // Only the content counts, because an archive may also contain readme files.

@@ -1,7 +1,7 @@
 //! Files that are huge, or expand to something huge, are refused before they need memory.
 
 use std::fs::File;
-use std::io::{Cursor, Read, Write};
+use std::io::{Cursor, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use spandrel_record::{
@@ -140,6 +140,53 @@ fn zeros_in_a_zip_archive_are_no_recording() {
     let bomb = zip(&[], &vec![0; 16 * MIB], 4);
     let file = given("bomb.zip", |file| file.write_all(&bomb).unwrap());
     assert_told(&file.path, &["bomb.zip", "at least one recording"]);
+}
+
+/// Regression: the archive and its table took 1.8 GB of memory.
+#[test]
+fn table_in_a_huge_zip_archive_is_read_as_a_stream() {
+    let start = "ground,roof\n".to_owned() + &"0.5,1.5\n".repeat(10_000);
+    let file = given("huge.zip", |file| {
+        write_sparse_zip(file, &start, 800_000_000)
+    });
+    assert_told(&file.path, &["huge.zip/table.csv:10002: row has no end"]);
+}
+
+/// Writes a zip archive of one stored file with this number of bytes. Behind its start, it has
+/// zeros, which need no space on the disk.
+fn write_sparse_zip(file: &mut File, start: &str, bytes: u32) {
+    const NAME: &[u8] = b"table.csv";
+    let words = |words: &[u16]| -> Vec<u8> { words.iter().flat_map(|w| w.to_le_bytes()).collect() };
+    // The checksum is 0, which is wrong, because nobody should read so far.
+    let sizes = [0, bytes, bytes].map(u32::to_le_bytes).concat();
+    let name_bytes = words(&[NAME.len() as u16]);
+    let version = words(&[20, 0, 0, 0, 0]);
+    let head = [
+        b"PK\x03\x04",
+        &version[..],
+        &sizes,
+        &name_bytes,
+        &[0; 2],
+        NAME,
+    ]
+    .concat();
+    let made_by = words(&[20]);
+    let entry = [
+        b"PK\x01\x02",
+        &made_by[..],
+        &version,
+        &sizes,
+        &name_bytes,
+        &[0; 16],
+        NAME,
+    ]
+    .concat();
+    let at = head.len() as u32 + bytes;
+    let place = [entry.len() as u32, at].map(u32::to_le_bytes).concat();
+    let end = [b"PK\x05\x06", &words(&[0, 0, 1, 1])[..], &place, &[0; 2]].concat();
+    file.write_all(&[&head, start.as_bytes()].concat()).unwrap();
+    file.seek(SeekFrom::Start(at.into())).unwrap();
+    file.write_all(&[entry, end].concat()).unwrap();
 }
 
 #[test]
