@@ -2,7 +2,7 @@
 //! process (Linux).
 #![cfg(target_os = "linux")]
 
-use crate::support::storeys;
+use crate::support::{HOUSE, storeys};
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -19,9 +19,9 @@ fn peak_mb(process: u32) -> Option<f64> {
     Some(kilobytes / 1024.0)
 }
 
-/// Runs a command that must refuse its input. The system aborts it at this memory (MB), and kills it
-/// after this processor time (s).
-fn assert_refuses(folder: &Path, arguments: &[&str], most_mb: u32, most_s: u32) {
+/// Runs a command that must refuse its input, and returns the reason. The system aborts it at this
+/// memory (MB), and kills it after this processor time (s).
+fn assert_refuses(folder: &Path, arguments: &[&str], most_mb: u32, most_s: u32) -> String {
     let limits = format!(
         "ulimit -t {most_s}; ulimit -d {}; exec \"$0\" \"$@\"",
         1000 * most_mb
@@ -30,8 +30,11 @@ fn assert_refuses(folder: &Path, arguments: &[&str], most_mb: u32, most_s: u32) 
     command.args(["-c", &limits, env!("CARGO_BIN_EXE_spandrel")]);
     let ended = command.args(arguments).current_dir(folder).output();
     let ended = ended.unwrap();
-    let said = String::from_utf8_lossy(&ended.stderr);
+    let said = String::from_utf8(ended.stderr).unwrap();
     assert_eq!(ended.status.code(), Some(2), "{arguments:?}: {said}");
+    // Reading a whole file can fail without an abort.
+    assert!(!said.contains("out of memory"), "{arguments:?}: {said}");
+    said
 }
 
 /// Regression: these recordings took up to 4.1 GB or 31 s.
@@ -39,31 +42,85 @@ fn assert_refuses(folder: &Path, arguments: &[&str], most_mb: u32, most_s: u32) 
 fn huge_recordings_are_refused_within_two_seconds_and_200_mb() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let rows = "0.5,1.5\n".repeat(1 << 21);
-    for (name, start) in [("sparse.csv", &rows[..80_000]), ("line.csv", "0.5,")] {
+    let names = "ground,roof\n";
+    let some = names.to_owned() + &"0.5,1.5\n".repeat(10_000);
+    for (name, start) in [
+        ("sparse.csv", some.as_str()),
+        ("line.csv", "ground,roof\n0.5,"),
+    ] {
         let mut file = std::fs::File::create(at(name)).unwrap();
         file.write_all(start.as_bytes()).unwrap();
         file.set_len(3 << 30).unwrap();
     }
     let columns: Vec<String> = (0..100_000).map(|number| format!("c{number}")).collect();
     std::fs::write(at("wide.csv"), columns.join(",") + "\n").unwrap();
-    std::fs::write(at("sound.csv"), &rows[..80_000]).unwrap();
-    std::fs::write(at("rows"), rows).unwrap();
-    let packed = Command::new("gzip").arg("-9nc").arg(at("rows")).output();
-    std::fs::write(at("rows.csv.gz"), packed.unwrap().stdout.repeat(64)).unwrap();
+    std::fs::write(at("sound.csv"), some).unwrap();
+    // Long rows, because `estimate` identifies each row up to the limit.
+    let long = "0".repeat(500);
+    let rows = format!("0.5{long},1.5{long}\n").repeat(1 << 14);
+    let rows = gzip(folder.path(), rows.as_bytes());
+    let names = gzip(folder.path(), names.as_bytes());
+    std::fs::write(at("rows.csv.gz"), [names, rows.repeat(64)].concat()).unwrap();
+    let zeros = gzip(folder.path(), &vec![0; 16 << 20]);
+    std::fs::write(at("zeros.csv.gz"), zeros.repeat(64)).unwrap();
+    let house = format!("{HOUSE}[record]\ntime-column = \"\"\n");
+    std::fs::write(at("house.toml"), house).unwrap();
     let records = [
         "sparse.csv",
         "line.csv",
         "wide.csv",
         "rows.csv.gz",
+        "zeros.csv.gz",
         "/dev/zero",
     ];
     for record in records {
-        assert_refuses(folder.path(), &["info", record], 200, 2);
+        for command in [
+            &["info", record][..],
+            &["convert", record, "out.csv", "--rate", "100"],
+            &["estimate", "house.toml", "--record", record],
+            &["check", "house.toml", "--record", record],
+        ] {
+            let said = assert_refuses(folder.path(), command, 200, 2);
+            let unpacked = record.trim_end_matches(".gz");
+            assert!(said.contains(unpacked), "{command:?}: {said}");
+        }
     }
     let convert = "convert sound.csv out.csv --rate 100 --resample 1e12";
     let convert: Vec<&str> = convert.split(' ').collect();
     assert_refuses(folder.path(), &convert, 200, 2);
+}
+
+/// Returns content as gzip data, with the largest ratio.
+fn gzip(folder: &Path, content: &[u8]) -> Vec<u8> {
+    let path = folder.join("unpacked");
+    std::fs::write(&path, content).unwrap();
+    let packed = Command::new("gzip").arg("-9nc").arg(path).output();
+    packed.unwrap().stdout
+}
+
+/// Regression: a matrix without end took 3.4 GB.
+#[test]
+fn a_matrix_without_end_is_refused_within_two_seconds_and_200_mb() {
+    let folder = tempfile::tempdir().unwrap();
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples");
+    let text = std::fs::read_to_string(examples.join("matrices.toml")).unwrap();
+    std::fs::create_dir(folder.path().join("matrices")).unwrap();
+    for name in ["k-lower.mtx", "k-middle.mtx", "k-upper.mtx"] {
+        let name = Path::new("matrices").join(name);
+        std::fs::copy(examples.join(&name), folder.path().join(&name)).unwrap();
+    }
+    let huge = std::fs::File::create(folder.path().join("huge.mtx")).unwrap();
+    huge.set_len(3 << 30).unwrap();
+    for (matrix, reason) in [
+        ("/dev/zero", "is a folder, a pipe, a device or a socket"),
+        ("huge.mtx", "at most 67108864 are allowed"),
+    ] {
+        let text = text.replace("matrices/mass.mtx", matrix);
+        std::fs::write(folder.path().join("tower.toml"), text).unwrap();
+        let said = assert_refuses(folder.path(), &["check", "tower.toml"], 200, 2);
+        let is_named = said.contains(&format!("model.mass: {matrix}"));
+        assert!(is_named && said.contains(reason), "{said}");
+    }
 }
 
 /// Regression: a check of 10,000 nodes took over 25 s and 1.6 GB, and one of 1,000 storeys with as

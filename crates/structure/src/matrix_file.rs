@@ -72,21 +72,24 @@ const MAX_BYTES: u64 = 64 << 20;
 /// Reads the text of a matrix file. The error describes what was found.
 fn read_text(path: &Path) -> Result<String, String> {
     let unreadable = |error: std::io::Error| format!("cannot be read ({error})");
+    let metadata = std::fs::metadata(path).map_err(unreadable)?;
     // Opening a pipe waits for its writer, and a device has no end.
-    if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
+    if !metadata.is_file() {
         return Err("is a folder, a pipe, a device or a socket".to_owned());
+    }
+    // Before the file is read, because reading takes up to three times its size.
+    if metadata.len() > MAX_BYTES {
+        return Err(format!(
+            "has {} bytes, at most {MAX_BYTES} are allowed",
+            metadata.len()
+        ));
     }
     let mut bytes = Vec::new();
     File::open(path)
         .map_err(unreadable)?
-        .take(MAX_BYTES + 1)
+        .take(MAX_BYTES) // the file may grow meanwhile
         .read_to_end(&mut bytes)
         .map_err(unreadable)?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(format!(
-            "has more than {MAX_BYTES} bytes, at most {MAX_BYTES} are allowed"
-        ));
-    }
     decode(bytes).map_err(|wrong| format!("line {}: {}", wrong.line, wrong.found))
 }
 
