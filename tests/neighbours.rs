@@ -4,7 +4,10 @@
 use crate::support::{
     DEADLINE, Drops, Process, Sensors, Site, five_storeys, put_raw, spandrel, two_storeys, within,
 };
-use spandrel_bus::{Bus, BusConfig, Event, EventKind, Mode, Name, Service, Status};
+use spandrel_bus::{
+    AlertMessage, AlertState, Block as _, Bus, BusConfig, Delivery, EstimateBlock, EstimateFlags,
+    Event, EventKind, Message as _, Mode, Name, Service, Start, Status, StreamSettings,
+};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
@@ -22,10 +25,10 @@ fn with_page(site: &Site, arguments: &[&str]) -> (Process, String) {
     (services, address)
 }
 
-/// Sends a request and returns the reply.
-fn exchange(address: &str, request: &str) -> String {
+/// Sends a request and returns the reply, as far as it comes without a pause of `patience`.
+fn exchange(address: &str, request: &str, patience: Duration) -> String {
     let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    stream.set_read_timeout(Some(patience)).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
     let mut reply = String::new();
     // The server may close the connection before it has read all of a wrong request.
@@ -34,9 +37,13 @@ fn exchange(address: &str, request: &str) -> String {
 }
 
 fn get(address: &str, path: &str, headers: &str) -> String {
+    get_within(DEADLINE, address, path, headers)
+}
+
+fn get_within(patience: Duration, address: &str, path: &str, headers: &str) -> String {
     let request =
         format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n{headers}Connection: close\r\n\r\n");
-    exchange(address, &request)
+    exchange(address, &request, patience)
 }
 
 /// Returns the count of refusals for a reason, from the metrics of the page.
@@ -51,6 +58,8 @@ fn refused(metrics: &str, reason: &str) -> u64 {
 #[test]
 fn slow_connections_keep_nobody_out() {
     const MANY: u64 = 300;
+    /// A quarter of the time after which the server closes a slow connection in any case.
+    const PATIENCE: Duration = Duration::from_secs(5);
     let site = Site::with(&two_storeys(""));
     let (services, address) = with_page(&site, &[]);
     let address: SocketAddr = address.parse().unwrap();
@@ -63,7 +72,7 @@ fn slow_connections_keep_nobody_out() {
         })
         .collect();
     for _ in 0..3 {
-        let reply = get(&address.to_string(), "/api/structures", "");
+        let reply = get_within(PATIENCE, &address.to_string(), "/api/structures", "");
         assert!(reply.starts_with("HTTP/1.1 200"), "{reply:?}");
     }
     services.wait_for_log("too many connections to the page");
@@ -100,7 +109,7 @@ fn heads_that_two_programs_may_read_differently_are_rejected() {
             400,
         ),
     ] {
-        let reply = exchange(&address, &request.replace("HERE", &address));
+        let reply = exchange(&address, &request.replace("HERE", &address), DEADLINE);
         let found = reply
             .split(' ')
             .nth(1)
@@ -244,6 +253,24 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     services.stop().expect_code(0);
 }
 
+/// Starts an isolated process with all services, and returns the address of its page.
+fn isolated(site: &Site) -> (Process, String) {
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, "isolated = true\n").unwrap();
+    with_page(site, &["--config", configuration.to_str().unwrap()])
+}
+
+/// Opens the session of another program of the machine.
+async fn neighbour(site: &Site) -> Bus {
+    let config = BusConfig {
+        root: site.keys().root().to_string(),
+        mode: Mode::Client, // peers would connect to each other
+        connect: vec![site.endpoint().to_owned()],
+        ..BusConfig::default()
+    };
+    Bus::open(&config).await.unwrap()
+}
+
 /// Regression: any program of the machine could publish estimates and alerts in the name of the
 /// services.
 #[tokio::test(flavor = "multi_thread")]
@@ -252,17 +279,9 @@ async fn an_isolated_run_accepts_samples_but_no_forged_results() {
     const MANY: usize = 100;
     let site = Site::with(&two_storeys(""));
     let keys = site.keys();
-    let configuration = site.folder().join("spandrel.toml");
-    std::fs::write(&configuration, "isolated = true\n").unwrap();
-    let (services, page) = with_page(&site, &["--config", configuration.to_str().unwrap()]);
-    let neighbour = BusConfig {
-        root: keys.root().to_string(),
-        mode: Mode::Client, // peers would connect to each other
-        connect: vec![site.endpoint().to_owned()],
-        ..BusConfig::default()
-    };
-    let forger = Bus::open(&neighbour).await.unwrap();
-    let viewer = Bus::open(&neighbour).await.unwrap();
+    let (services, page) = isolated(&site);
+    let forger = neighbour(&site).await;
+    let viewer = neighbour(&site).await;
     site.wait_for_services(&viewer).await;
     let drops = Drops::watch(&viewer, &keys).await;
     let alert = keys.alert(&Name::new("storey-1").unwrap());
@@ -306,6 +325,70 @@ async fn an_isolated_run_accepts_samples_but_no_forged_results() {
         "a forged alert was heard"
     );
     services.stop().expect_code(0);
+}
+
+/// Regression: valid estimates at the next number raised false alerts.
+#[tokio::test(flavor = "multi_thread")]
+async fn forged_estimates_of_half_the_stiffness_raise_no_alert_in_an_isolated_run() {
+    const ROWS: usize = 400;
+    const RULE: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                        credibility = 0.99\nsustain-s = 1\n";
+    let site = Site::with(&two_storeys(RULE));
+    let keys = site.keys();
+    let (services, page) = isolated(&site);
+    let forger = neighbour(&site).await;
+    let viewer = neighbour(&site).await;
+    site.wait_for_services(&viewer).await;
+    let drops = Drops::watch(&viewer, &keys).await;
+    let alerts = viewer.subscribe::<AlertMessage>(keys.all_alerts(), 256);
+    let alerts = alerts.await.unwrap();
+    let settings = StreamSettings::new(Start::Beginning);
+    let estimates =
+        viewer.follow::<EstimateBlock>(keys.estimates(), keys.estimates_buffer(), settings);
+    let estimates = estimates.await.unwrap();
+    let record = site.simulate(2.0 * ROWS as f64 / 100.0);
+    let mut sensors = Sensors::start(&forger, &keys, site.structure(), &record).await;
+    sensors.put(0..ROWS).await;
+    drops.when_done(Service::Alert, ROWS as u64).await;
+    let forged = within("the last estimate", async {
+        loop {
+            match estimates.deliveries().recv_async().await.unwrap() {
+                Delivery::Block(block) if block.end() == ROWS as u64 => return half(&block),
+                Delivery::Block(_) => {}
+                Delivery::Gap(gap) => panic!("estimates are lost: {gap:?}"),
+            }
+        }
+    })
+    .await;
+    let payload = forged.encode().unwrap();
+    let encoding = EstimateBlock::encoding();
+    put_raw(&forger, &keys.estimates(), &encoding, payload).await;
+    // These samples arrive later on the same connection.
+    sensors.put(ROWS..2 * ROWS).await;
+    drops.when_done(Service::Alert, 2 * ROWS as u64).await;
+    for (_, alert) in alerts.messages().try_iter() {
+        let is_of_loss = matches!(alert.state, AlertState::Pending | AlertState::Raised);
+        assert!(!is_of_loss, "{alert:?}");
+    }
+    services.wait_for_log(&format!("why=\"Put on {}\"", keys.estimates()));
+    assert_eq!(refused(&get(&page, "/metrics", ""), "bus-right"), 1);
+    services.stop().expect_code(0);
+}
+
+/// Returns 5 s of estimates that follow a block, with half the stiffness and high precision.
+fn half(last: &EstimateBlock) -> EstimateBlock {
+    let mut forged = last.clone();
+    forged.header.sequence = last.end();
+    let mut estimate = last.estimates.last().unwrap().clone();
+    for mean in &mut estimate.mean {
+        *mean *= 0.5;
+    }
+    for covariance in &mut estimate.covariance {
+        *covariance *= 1e-4;
+    }
+    estimate.flags = EstimateFlags::working(); // otherwise an alert stays undecided
+    forged.estimates = vec![estimate; 500];
+    forged
 }
 
 /// An isolated process would silently keep out the other services that it needs.
