@@ -6,7 +6,8 @@
 //!
 //! A loss of stiffness changes the profile as well, but not to that of an exchange in all bands at
 //! once. An exchange is therefore only stated if the exchanged channels, and all others, agree with
-//! the records.
+//! the records. A factor moves all bands of one channel by the same amount. An exchange must therefore
+//! also be more probable than a factor.
 
 use serde::{Deserialize, Serialize};
 
@@ -84,6 +85,19 @@ impl ProfileReference {
         bands
             .map(|((found, mean), std)| ((found - mean) / std).powi(2))
             .sum()
+    }
+
+    /// Like [`ProfileReference::deviation`], if the channel has the most probable factor.
+    fn deviation_with_factor(&self, profile: &Profile) -> f64 {
+        let bands = profile.iter().zip(&self.mean).zip(&self.std);
+        let (mut weights, mut sum) = (0.0, 0.0);
+        for ((found, mean), std) in bands {
+            let weight = 1.0 / (std * std);
+            weights += weight;
+            sum += weight * (found - mean);
+        }
+        let moved = sum / weights;
+        self.deviation(&profile.map(|found| found - moved))
     }
 
     /// Returns `true` if a profile agrees with the records.
@@ -209,7 +223,8 @@ impl BandPowers {
 /// Returns the most probable exchange of two channels, with its probability.
 ///
 /// `references` contains one entry per channel. The probability is 0 if the exchanged channels or
-/// the other ones differ from the references.
+/// the other ones differ from the references. The alternatives are no fault, and a factor of one of
+/// the two channels.
 pub(crate) fn most_probable_exchange(
     profiles: &[Profile],
     references: &[ProfileReference],
@@ -220,12 +235,16 @@ pub(crate) fn most_probable_exchange(
         .map(|channel| deviation(channel, channel))
         .collect();
     let all: f64 = own.iter().sum();
+    let with_factor =
+        |channel: usize| references[channel].deviation_with_factor(&profiles[channel]);
     let pairs = (count * (count - 1) / 2) as f64;
     let pair = |(i, j): (usize, usize)| {
         let (exchanged, as_learnt) = (deviation(i, j) + deviation(j, i), own[i] + own[j]);
         let others = all - as_learnt;
         let agree = exchanged <= 2.0 * LIMIT && others <= (count - 2) as f64 * LIMIT;
-        let odds = libm::exp(0.5 * (as_learnt - exchanged).min(600.0)) / (PRIOR_ODDS * pairs);
+        let with_factor = (with_factor(i) + own[j]).min(own[i] + with_factor(j));
+        let otherwise = as_learnt.min(with_factor);
+        let odds = libm::exp(0.5 * (otherwise - exchanged).min(600.0)) / (PRIOR_ODDS * pairs);
         Exchange {
             channels: (i, j),
             probability: if agree { odds / (1.0 + odds) } else { 0.0 },
@@ -235,4 +254,33 @@ pub(crate) fn most_probable_exchange(
     all_pairs
         .map(pair)
         .max_by(|a, b| a.probability.total_cmp(&b.probability))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reference(mean: Profile) -> ProfileReference {
+        let std = [0.4; BANDS];
+        ProfileReference { mean, std }
+    }
+
+    #[test]
+    fn factor_that_makes_a_channel_look_like_another_is_no_exchange() {
+        let references = [reference([1.0; BANDS]), reference([0.3; BANDS])];
+        // A factor of 0.7 moves the logarithm of the power by −0.71.
+        let profiles = [[0.29; BANDS], [0.65; BANDS]];
+        let found = most_probable_exchange(&profiles, &references).unwrap();
+        assert!(found.probability < 0.05, "{found:?}");
+    }
+
+    #[test]
+    fn exchange_that_no_factor_explains_is_found() {
+        let (first, second) = ([1.0, 2.0, 1.0, 2.0, 1.0], [2.0, 1.0, 2.0, 1.0, 2.0]);
+        let references = [reference(first), reference(second)];
+        let found = most_probable_exchange(&[second, first], &references).unwrap();
+        assert!(found.probability > 0.99, "{found:?}");
+        let found = most_probable_exchange(&[first, second], &references).unwrap();
+        assert!(found.probability < 0.01, "{found:?}");
+    }
 }
