@@ -507,6 +507,7 @@ async fn a_lost_block_of_a_node_without_buffer_affects_no_other_samples() {
             .map(|row| record.value(row, "floor-1"))
             .collect(),
         state: StreamState::Running,
+        clock_quality: None,
     };
     // Live samples arrive in real time, a block every 100 ms.
     let start = tokio::time::Instant::now();

@@ -102,6 +102,7 @@ fn of_node(structure: &Structure) -> NodeIdentificationState {
         channels: channels as u16,
         samples,
         state: StreamState::Running,
+        clock_quality: None,
     };
     core.handle(NodeInput::Samples(block), &mut Vec::new());
     assert!(core.done() > 100);

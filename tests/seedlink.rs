@@ -4,7 +4,10 @@ use crate::support::{HOUSE, Process, Site, within};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use seedlink_rs_server::{DataStore, SeedLinkServer, ServerConfig, ShutdownHandle};
-use spandrel_bus::{Bus, ConditionDisplay, Delivery, FrameBlock, Service, Start, Status, TimeGrid};
+use spandrel_bus::{
+    Bus, ConditionDisplay, Delivery, Event, EventKind, FrameBlock, Name, Service, Start, Status,
+    TimeGrid,
+};
 use spandrel_service::Clock;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -292,6 +295,63 @@ async fn slow_channel_is_a_condition_with_one_value_per_sample() {
         assert_eq!(value.time_ns, t0_ns + sample * SECOND_NS);
         assert_eq!(value.value, f64::from(counts(0, sample)) / 100.0);
     }
+    feed.stop().expect_code(0);
+    tokio::time::timeout(Duration::from_secs(30), server.stop())
+        .await
+        .unwrap();
+}
+
+/// Adds a blockette 1001 with this quality of the time (per cent) to a record.
+fn with_quality(mut record: Vec<u8>, quality: u8) -> Vec<u8> {
+    record[39] = 2; // number of blockettes
+    record[50..52].copy_from_slice(&56_u16.to_be_bytes());
+    record[56..58].copy_from_slice(&1001_u16.to_be_bytes());
+    record[60] = quality;
+    record
+}
+
+// The quality was read and dropped.
+#[tokio::test(flavor = "multi_thread")]
+async fn quality_of_the_clock_reaches_the_status_of_ingest_and_a_low_one_is_named() {
+    let journal = tempfile::tempdir().unwrap();
+    let server = Server::start("127.0.0.1:0", journal.path()).await;
+    let (site, _ingest, bus, path) = start_site("", &server.address).await;
+    let keys = site.keys();
+    let events = bus.subscribe::<Event>(keys.event(), 64).await.unwrap();
+    let statuses = bus
+        .subscribe::<Status>(keys.statuses(Service::Ingest), 256)
+        .await
+        .unwrap();
+    let feed = start_feed(&site, &path);
+    let t0_ns = an_hour_ago();
+    for (station, quality) in [90, 35].into_iter().enumerate() {
+        let record = with_quality(record(station, t0_ns, 0), quality);
+        let id = format!("R{}", station + 1);
+        server.store.push("AM", &id, &record).unwrap();
+    }
+    let named = within("an event", async {
+        loop {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            if event.kind == EventKind::ClockDoubtful {
+                return event;
+            }
+        }
+    });
+    let named = named.await;
+    // Both stations are channels of one node.
+    assert_eq!(named.subject, "shake", "{named:?}");
+    assert!(named.what.contains("35 %"), "{named:?}");
+    let shake = Name::new("shake").unwrap();
+    within("the quality in a status", async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            let clock = status.clocks.get(&shake);
+            if clock.is_some_and(|clock| clock.quality_percent == Some(35)) {
+                return;
+            }
+        }
+    })
+    .await;
     feed.stop().expect_code(0);
     tokio::time::timeout(Duration::from_secs(30), server.stop())
         .await

@@ -248,6 +248,7 @@ fn samples(structure: &Structure, node: &str, from: u64, count: u64) -> SampleBl
         channels: channels as u16,
         samples: vec![0.0; count as usize * channels],
         state: StreamState::Running,
+        clock_quality: None,
     }
 }
 

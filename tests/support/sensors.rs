@@ -161,6 +161,7 @@ impl Node {
             channels: self.channels.len() as u16,
             samples: samples.collect(),
             state: StreamState::Running,
+            clock_quality: None,
         }
     }
 

@@ -150,6 +150,16 @@ pub trait Message: Serialize + DeserializeOwned {
         )
     }
 
+    /// Returns the attachment that travels beside the payload. Readers of former versions ignore
+    /// it. Replies to queries do not contain it.
+    #[must_use]
+    fn attachment(&self) -> Option<String> {
+        None
+    }
+
+    /// Reads an attachment. An unknown or wrong attachment changes nothing.
+    fn attach(&mut self, _attachment: &str) {}
+
     /// Encodes the message as a payload.
     ///
     /// # Errors

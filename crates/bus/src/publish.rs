@@ -240,7 +240,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 async fn put<M: Message>(publisher: &Publisher<'static>, message: &M) -> Result<(), BusError> {
     let payload = encode(publisher.key_expr(), message)?;
-    put_payload(publisher, payload).await
+    put_payload(publisher, payload, message.attachment()).await
 }
 
 fn encode<M: Message>(key: &KeyExpr<'_>, message: &M) -> Result<Vec<u8>, BusError> {
@@ -253,8 +253,9 @@ fn encode<M: Message>(key: &KeyExpr<'_>, message: &M) -> Result<Vec<u8>, BusErro
 async fn put_payload(
     publisher: &Publisher<'static>,
     payload: impl Into<ZBytes>,
+    attachment: Option<String>,
 ) -> Result<(), BusError> {
-    let put = publisher.put(payload).await;
+    let put = publisher.put(payload).attachment(attachment).await;
     put.map_err(|source| BusError::Put {
         key: publisher.key_expr().to_string(),
         source,
@@ -295,7 +296,7 @@ impl<B: Block> NumberedPublisher<B> {
             &block,
             &payload,
         )?;
-        put_payload(&self.publisher, payload).await
+        put_payload(&self.publisher, payload, block.attachment()).await
     }
 
     /// Publishes the stored items again, from number `after` of an epoch on.
@@ -471,7 +472,7 @@ impl<M: Message> LatestPublisher<M> {
         let publisher = &self.publisher.publisher;
         let payload = encode(publisher.key_expr(), message)?;
         *lock(&self.latest) = Some(payload.clone());
-        put_payload(publisher, payload).await
+        put_payload(publisher, payload, message.attachment()).await
     }
 }
 

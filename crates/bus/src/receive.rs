@@ -2,10 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 
 use crate::flood::{FloodGate, Flooded};
-use crate::message::{DecodeError, MAX_MESSAGE_BYTES, Message};
+use crate::message::{DecodeError, MAX_LABEL_BYTES, MAX_MESSAGE_BYTES, Message};
 
 /// Decodes a message. Checks its size before its fragments are joined.
 pub(crate) fn read<M: Message>(sample: &Sample) -> Result<M, DecodeError> {
@@ -13,7 +14,13 @@ pub(crate) fn read<M: Message>(sample: &Sample) -> Result<M, DecodeError> {
     if bytes > MAX_MESSAGE_BYTES {
         return Err(DecodeError::TooLarge { bytes });
     }
-    M::decode(&sample.encoding().to_string(), &sample.payload().to_bytes())
+    let mut message = M::decode(&sample.encoding().to_string(), &sample.payload().to_bytes())?;
+    let attachment = sample.attachment();
+    let attachment = attachment.filter(|attachment| attachment.len() <= MAX_LABEL_BYTES);
+    if let Some(Ok(text)) = attachment.map(ZBytes::try_to_string) {
+        message.attach(&text);
+    }
+    Ok(message)
 }
 
 /// A [`FloodGate`] that uses the wall clock.

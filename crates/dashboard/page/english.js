@@ -416,6 +416,7 @@ export const english = {
   "state-learning": "learning",
   "state-normal": "normal",
   "state-undecided": "undecided",
+  "stated-quality": ", stated quality {0}",
   "stiffness-design-stiffness": "stiffness / design",
   "structural-health-report": "Structural health report",
   "structure": "Structure",

@@ -416,6 +416,7 @@ export const german = {
   "state-learning": "lernt",
   "state-normal": "normal",
   "state-undecided": "unentschieden",
+  "stated-quality": ", angegebene Güte {0}",
   "stiffness-design-stiffness": "Steifigkeit / Entwurf",
   "structural-health-report": "Bericht über den Zustand der Bauwerke",
   "structure": "Bauwerk",

@@ -251,17 +251,20 @@ export function compared(channel) {
 }
 
 /**
- * Returns when the node of a sensor samples relative to the frames, and the state of its clock.
+ * Returns when the node of a sensor samples relative to the frames, and the state of its clock with
+ * the quality that its source states.
  * `isReported` states whether ingest reports on clocks at all.
  */
 export function clockWords(clock, isReported) {
   if (!clock) return isReported ? { offset: t("at-the-frames"), clock: t("agrees") } : { offset: "–", clock: "–" };
   const ms = (seconds) => `${fixed(1000 * seconds, 2)} ms`;
   const jitter = clock.jitter_s > 0 ? t("varies-by", ms(clock.jitter_s)) : "";
-  const offset = `${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? t("before") : t("after")}${jitter}`;
+  const isAtFrames = clock.offset_s === 0 && clock.jitter_s === 0;
+  const offset = isAtFrames ? t("at-the-frames") : `${ms(Math.abs(clock.offset_s))} ${clock.offset_s < 0 ? t("before") : t("after")}${jitter}`;
+  const quality = clock.quality_percent == null ? "" : t("stated-quality", percent(clock.quality_percent / 100, 0));
   const difference = clock.difference_s ?? 0;
-  if (!difference) return { offset, clock: t("agrees") };
-  return { offset: "–", clock: `▲ ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? t("behind") : t("ahead")}` };
+  if (!difference) return { offset, clock: t("agrees") + quality };
+  return { offset: "–", clock: `▲ ${Math.abs(difference).toFixed(0)} s ${difference < 0 ? t("behind") : t("ahead")}${quality}` };
 }
 
 /** Returns the samples of the last minute of a sensor, in the columns of their table. */

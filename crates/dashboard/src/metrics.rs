@@ -48,6 +48,7 @@ struct Metrics {
     sensor: Gauges,
     fault: Gauges,
     offset: Gauges,
+    clock_quality: Gauges,
     node_distance: Gauges,
     condition: Gauges,
     condition_age: Gauges,
@@ -183,6 +184,11 @@ impl Metrics {
             "sensor_sampling_offset_seconds",
             "Time from the frames to the samples of a channel, which are interpolated",
             &self.offset,
+        );
+        gauge(
+            "sensor_clock_quality_ratio",
+            "Quality of the clock of the node of a channel, as its source states it",
+            &self.clock_quality,
         );
         gauge(
             "node_distance",
@@ -424,6 +430,10 @@ impl Metrics {
             }
             let offset_s = sensor.clock.map_or(0.0, |clock| clock.offset_s);
             self.offset.get_or_create(&labels).set(offset_s);
+            if let Some(percent) = sensor.clock.and_then(|clock| clock.quality_percent) {
+                let quality = f64::from(percent) / 100.0;
+                self.clock_quality.get_or_create(&labels).set(quality);
+            }
         }
         for (node, display) in &store.state.nodes {
             set(

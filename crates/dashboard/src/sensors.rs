@@ -64,7 +64,8 @@ pub(crate) struct SensorState<'s> {
     pub(crate) health: SensorHealth,
     /// Comparison with the other sensors, if there is any.
     pub(crate) compared: Option<&'s ChannelHealthDisplay>,
-    /// When its node samples, if not at the times of the frames, or if its clock is wrong.
+    /// When its node samples, if not at the times of the frames, if its clock is wrong, or if its
+    /// source states the quality of its clock.
     pub(crate) clock: Option<NodeClock>,
     /// Measurement time of its last used sample (s since the Unix epoch, UTC).
     pub(crate) last_used_s: Option<f64>,

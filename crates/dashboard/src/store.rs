@@ -343,6 +343,7 @@ impl Store {
                 | EventKind::SamplesBack
                 | EventKind::ClockWrong
                 | EventKind::ClockMoved
+                | EventKind::ClockDoubtful
                 | EventKind::ClockRight
                 | EventKind::Monitoring
                 | EventKind::Maintenance

@@ -37,11 +37,17 @@ impl Blocks {
                 channels,
                 samples: Vec::new(),
                 state: StreamState::Running,
+                clock_quality: None,
             },
             step_ns: 1e9 / rate_hz,
             full: ((BLOCK_S * rate_hz) as u64).clamp(1, MAX_BLOCK),
             last_ns: None,
         }
+    }
+
+    /// Sets the quality of the times, per cent, from the open block on.
+    pub(crate) fn set_clock_quality(&mut self, quality: Option<u8>) {
+        self.open.clock_quality = quality;
     }
 
     /// Adds rows, and appends complete blocks to `blocks`.

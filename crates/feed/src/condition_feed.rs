@@ -171,6 +171,7 @@ mod tests {
             start_ns,
             rate_hz,
             values: values.to_vec(),
+            clock_quality: None,
         }
     }
 

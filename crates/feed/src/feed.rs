@@ -429,6 +429,7 @@ impl Delivery<'_> {
             start_ns: timed.start_ns,
             values,
         };
+        node.state_clock_quality(plan.position, packet.clock_quality);
         node.take(plan.position, series, arrival, out);
         Ok(count as u64)
     }

@@ -73,6 +73,8 @@ pub(crate) struct NodeFeed {
 struct Lane {
     channel: String,
     has_begun: bool,
+    /// Quality of the time that its source has stated last, per cent.
+    clock_quality: Option<u8>,
     behind: Vec<Series>,
     /// Monotonic arrival time of the first packet behind.
     behind_since_ns: i64,
@@ -128,6 +130,20 @@ impl NodeFeed {
     /// Returns the time after `steps` samples, ns.
     pub(crate) fn time_after(&self, time_ns: i64, steps: usize) -> i64 {
         self.rows.time_after(time_ns, steps)
+    }
+
+    /// Records the quality of the times that the source of a channel states, per cent. The blocks of
+    /// the node have the lowest quality of its channels.
+    ///
+    /// Many programs write 0 if they do not know the quality. 0 therefore counts only for a channel
+    /// whose source has stated another quality before.
+    pub(crate) fn state_clock_quality(&mut self, lane: usize, stated: Option<u8>) {
+        if let Some(state) = self.lanes.get_mut(lane) {
+            let is_known = |quality: &u8| *quality > 0 || state.clock_quality.is_some();
+            state.clock_quality = stated.filter(is_known);
+        }
+        let qualities = self.lanes.iter().filter_map(|lane| lane.clock_quality);
+        self.blocks.set_clock_quality(qualities.min());
     }
 
     /// Adds the samples of a channel.

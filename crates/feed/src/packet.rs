@@ -9,6 +9,8 @@ pub struct Packet {
     pub start_ns: Option<i64>,
     /// Sampling rate that the packet states, Hz.
     pub rate_hz: Option<f64>,
+    /// Quality of the time as the source states it, per cent. `None` if it states none.
+    pub clock_quality: Option<u8>,
     /// Samples, mostly counts of an analogue-to-digital converter. NaN is missing.
     pub values: Vec<f64>,
 }

@@ -114,6 +114,7 @@ mod tests {
             start_ns: None,
             rate_hz: None,
             values: vec![0.0; count],
+            clock_quality: None,
         };
         let at = Moment {
             wall_ns: wall_ms * MS,
@@ -131,6 +132,7 @@ mod tests {
             start_ns: None,
             rate_hz: None,
             values: vec![0.0; 10],
+            clock_quality: None,
         };
         let at = Moment {
             wall_ns: 190 * MS,

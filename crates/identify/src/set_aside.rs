@@ -91,6 +91,7 @@ mod tests {
             channels: 1,
             samples: (first..first + count).map(|number| number as f64).collect(),
             state,
+            clock_quality: None,
         }
     }
 

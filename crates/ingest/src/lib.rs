@@ -18,6 +18,7 @@
 //!     channels: 1,
 //!     samples: vec![value],
 //!     state: StreamState::Running,
+//!     clock_quality: None,
 //! };
 //! let mut frames = Vec::new();
 //! alignment.handle(AlignmentInput::Samples { node: 1, block: block("roof", 0.2) }, &mut frames);
@@ -49,6 +50,7 @@ mod clock_watch;
 mod drop_watch;
 mod lateness;
 mod lockout_watch;
+mod quality_watch;
 mod timekeeping;
 
 mod spectra;

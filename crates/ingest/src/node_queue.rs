@@ -353,6 +353,7 @@ mod tests {
             channels: 2,
             samples: vec![0.5; 2 * count],
             state: StreamState::Running,
+            clock_quality: None,
         }
     }
 

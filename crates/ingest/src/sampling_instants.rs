@@ -161,6 +161,7 @@ impl SamplingInstants {
             offset_s: self.offset_ns as f64 / 1e9,
             jitter_s: jitter_ns as f64 / 1e9,
             difference_s: None,
+            quality_percent: None,
         })
     }
 

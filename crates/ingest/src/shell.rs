@@ -21,6 +21,7 @@ use crate::drop_watch::DropWatch;
 use crate::error::IngestError;
 use crate::layout::Layout;
 use crate::lockout_watch::LockoutWatch;
+use crate::quality_watch::QualityWatch;
 use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
 use crate::timekeeping::Timekeeping;
 use crate::waveforms::NodeChannels;
@@ -127,6 +128,7 @@ pub struct IngestService {
     status: StatusPublisher,
     drop_watch: DropWatch,
     lockout_watch: LockoutWatch,
+    quality_watch: QualityWatch,
     events: EventPublisher,
     keys: Keys,
     /// Pace of the last block. The nodes of a structure are either all live or all replayed.
@@ -328,6 +330,7 @@ impl IngestService {
                     layout.tolerance_ns() as f64 / 1e9,
                 ),
                 lockout_watch: LockoutWatch::new(node_count),
+                quality_watch: QualityWatch::new(node_count),
                 events: EventPublisher::declare(bus, &keys).await?,
                 pace: Pace::Live,
                 pace_heard: None,
@@ -382,6 +385,7 @@ impl IngestService {
                     }
                     _ = status.tick() => {
                         self.report_clocks().await?;
+                        self.report_quality().await?;
                         self.put_status().await?;
                         self.report_drops().await?;
                         self.report_folder().await?;
@@ -429,6 +433,7 @@ impl IngestService {
             self.put_status().await?;
         }
         self.ended[node] = block.state == StreamState::Ended;
+        self.quality_watch.arrived(node, block.clock_quality);
         let elapsed = self.started.elapsed();
         self.last_heard[node] = elapsed;
         if self.signs[node] == Sign::Lost {
@@ -524,6 +529,7 @@ impl IngestService {
             let is_over = silent(&self.last_heard[node]) && elapsed >= self.patient_until;
             if self.signs[node] == Sign::Gone && is_over {
                 self.signs[node] = Sign::Lost;
+                self.quality_watch.forget(node);
                 let structure = self.keys.structure().as_str();
                 let name = self.layout.nodes()[node].name.as_str();
                 warn!(

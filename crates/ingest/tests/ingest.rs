@@ -12,8 +12,8 @@ use std::net::TcpListener;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, Bus, BusConfig, Delivery, FrameBlock, Header, Keep, Keys, Message, Name,
-    NumberedPublisher, NumberedStream, Pace, SampleBlock, Service, Start, Status, Stream,
+    Block, Bus, BusConfig, Delivery, Event, EventKind, FrameBlock, Header, Keep, Keys, Message,
+    Name, NumberedPublisher, NumberedStream, Pace, SampleBlock, Service, Start, Status, Stream,
     StreamSettings, StreamState,
 };
 use spandrel_ingest::{FrameWait, IngestService, IngestSettings, Layout, NodeLayout};
@@ -107,6 +107,7 @@ fn samples(node: &str, epoch: u64, from: u64, to: u64) -> SampleBlock {
         channels: 1,
         samples: (from..to).map(|v| v as f64).collect(),
         state: StreamState::Running,
+        clock_quality: None,
     }
 }
 
@@ -266,5 +267,48 @@ async fn the_status_counts_rejected_messages() {
         }
     };
     timeout(DEADLINE, counted).await.unwrap();
+    ingest.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn stated_quality_of_a_clock_is_in_the_status_and_a_low_one_is_an_event() {
+    let (first, second) = pair().await;
+    let ingest = start_ingest(&second, FrameWait::Unlimited).await;
+    let statuses = first
+        .subscribe::<Status>(keys().all_statuses(), 16)
+        .await
+        .unwrap();
+    let events = first.subscribe::<Event>(keys().event(), 16).await.unwrap();
+    let base = node(&first, "base").await;
+    // The first blocks may be queried, and then state no quality.
+    let stated = async {
+        for number in 0.. {
+            let block = SampleBlock {
+                clock_quality: Some(35),
+                ..samples("base", 1, 4 * number, 4 * number + 4)
+            };
+            base.put(block).await.unwrap();
+            let next = events.messages().recv_async();
+            if let Ok(event) = timeout(Duration::from_millis(100), next).await {
+                return event.unwrap().1;
+            }
+        }
+        unreachable!("the numbers do not end");
+    };
+    let event = timeout(DEADLINE, stated).await.unwrap();
+    assert_eq!(
+        (event.kind, event.subject.as_str()),
+        (EventKind::ClockDoubtful, "base")
+    );
+    assert!(event.what.contains("35 %"), "{event:?}");
+    let shown = async {
+        loop {
+            let (_, status) = statuses.messages().recv_async().await.unwrap();
+            if let Some(clock) = status.clocks.get(&name("base")) {
+                return clock.quality_percent;
+            }
+        }
+    };
+    assert_eq!(timeout(DEADLINE, shown).await.unwrap(), Some(35));
     ingest.abort();
 }

@@ -54,6 +54,7 @@ pub struct RecordedChannel {
     sampling_rate_hz: Option<f64>,
     origin: TimeOrigin,
     event_ns: Option<i64>,
+    clock_quality: Option<u8>,
     segments: Vec<Segment>,
 }
 
@@ -74,6 +75,7 @@ impl RecordedChannel {
             sampling_rate_hz,
             origin: TimeOrigin::Start,
             event_ns: None,
+            clock_quality: None,
             segments: segments
                 .into_iter()
                 .filter(|segment| !segment.samples.is_empty())
@@ -135,6 +137,21 @@ impl RecordedChannel {
         Self { origin, ..self }
     }
 
+    /// Sets the lowest quality of the times, per cent.
+    pub(crate) fn with_clock_quality(self, clock_quality: Option<u8>) -> Self {
+        Self {
+            clock_quality,
+            ..self
+        }
+    }
+
+    /// Returns the lowest quality of the times that the recorder states, per cent. `None` if it
+    /// states none.
+    #[must_use]
+    pub fn clock_quality(&self) -> Option<u8> {
+        self.clock_quality
+    }
+
     /// Sets the time of the recorded earthquake.
     pub(crate) fn with_event_ns(self, event_ns: Option<i64>) -> Self {
         Self { event_ns, ..self }
@@ -148,6 +165,7 @@ impl RecordedChannel {
             description,
             origin,
             event_ns,
+            clock_quality,
             ..
         } = self.clone();
         Self {
@@ -156,6 +174,7 @@ impl RecordedChannel {
             description,
             origin,
             event_ns,
+            clock_quality,
             sampling_rate_hz: Some(rate_hz),
             segments,
         }

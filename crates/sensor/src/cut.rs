@@ -119,6 +119,7 @@ impl Cutter {
             channels: node.channels,
             samples: Vec::new(),
             state: StreamState::Running,
+            clock_quality: None,
         });
         let fastest_hz = nodes
             .iter()

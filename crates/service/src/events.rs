@@ -73,6 +73,7 @@ fn level(event: &Event) -> Level {
         | EventKind::SamplesDropped
         | EventKind::ClockWrong
         | EventKind::ClockMoved
+        | EventKind::ClockDoubtful
         | EventKind::Monitoring
         | EventKind::Gap
         | EventKind::Overloaded

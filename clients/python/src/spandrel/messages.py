@@ -541,12 +541,13 @@ class NodeClock:
     """Time from the frames to the samples of a node, and the variation of its time stamps.
 
     ``difference_s`` is the clock of the node minus the clock of most nodes, or ``None`` if they
-    agree.
+    agree. ``quality_percent`` is the quality of the clock that its source states, if any.
     """
 
     offset_s: float
     jitter_s: float
     difference_s: Optional[float] = None
+    quality_percent: Optional[int] = None
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,8 @@ pub enum EventKind {
     EarthquakeUnreported,
     /// A connection to the bus was closed, because its other end stopped reading.
     ReaderDisconnected,
+    /// The source of a node states a low quality of its clock. Its samples are used.
+    ClockDoubtful,
 }
 
 /// One event with its reason.

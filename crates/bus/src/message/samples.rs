@@ -48,7 +48,19 @@ pub struct SampleBlock {
     pub samples: Vec<f64>,
     /// Whether more samples of the node follow this block.
     pub state: NodeState,
+    /// Quality of the times as the source states it, from 0 to 100 per cent. `None` if it states
+    /// none.
+    ///
+    /// It travels as an attachment, so that readers of former versions read the block. Replies to
+    /// queries do not contain it.
+    #[serde(skip)]
+    pub clock_quality: Option<u8>,
 }
+
+/// Start of the attachment with the quality of the times.
+const CLOCK_QUALITY: &str = "clock-quality=";
+/// Best quality of a time, per cent.
+const BEST_CLOCK_QUALITY: u8 = 100;
 
 impl SampleBlock {
     /// Returns the times of the samples. `None` if the sampling rate is invalid, which
@@ -87,6 +99,17 @@ impl Message for SampleBlock {
     const VERSION: u16 = 1;
     const FORMAT: Format = Format::Postcard;
     const ACCEPTED: &'static [Format] = &[Format::Postcard, Format::Json];
+
+    fn attachment(&self) -> Option<String> {
+        let quality = self.clock_quality?;
+        Some(format!("{CLOCK_QUALITY}{quality}"))
+    }
+
+    fn attach(&mut self, attachment: &str) {
+        let stated = attachment.strip_prefix(CLOCK_QUALITY);
+        let quality = stated.and_then(|quality| quality.parse().ok());
+        self.clock_quality = quality.filter(|quality| *quality <= BEST_CLOCK_QUALITY);
+    }
 
     fn check(&self) -> Result<(), Malformed> {
         let channels = usize::from(self.channels);
@@ -157,6 +180,7 @@ impl Block for SampleBlock {
         if follows {
             self.samples.extend_from_slice(&next.samples);
             self.state = next.state;
+            self.clock_quality = next.clock_quality;
         }
         follows
     }

@@ -70,6 +70,7 @@ pub(super) fn read_samples<'de, D: Deserializer<'de>>(
         channels,
         samples: values,
         state: read.state,
+        clock_quality: None,
     })
 }
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     FitVerdict, Format, MAX_CHANNELS, Maintenance, Malformed, Message, Pace, UndecidedBecause,
-    bounded, check_count, check_finite, check_label, check_text,
+    bounded, check_count, check_finite, check_label, check_range, check_text,
 };
 use crate::name::Name;
 
@@ -28,6 +28,10 @@ pub struct NodeClock {
     /// are dropped. `None` if its clock agrees with theirs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub difference_s: Option<f64>,
+    /// Quality of its times as the source last stated it, from 0 to 100 per cent. `None` if the
+    /// source states none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality_percent: Option<u8>,
 }
 
 /// Whether a service keeps up with its input.
@@ -160,7 +164,8 @@ pub struct Status {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub instruments: BTreeMap<String, InstrumentStatus>,
     /// When the nodes sample. Only ingest reports it, for nodes that do not sample at the times of
-    /// the frames, or whose clock differs from that of most nodes.
+    /// the frames, whose clock differs from that of most nodes, or whose source states the quality
+    /// of its clock.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub clocks: BTreeMap<Name, NodeClock>,
     /// Present maintenance of the structure. Only notify reports it.
@@ -219,6 +224,8 @@ impl Message for Status {
             check_finite("clock offset", clock.offset_s)?;
             check_finite("clock jitter", clock.jitter_s)?;
             check_finite("clock difference", clock.difference_s.unwrap_or(0.0))?;
+            let quality = f64::from(clock.quality_percent.unwrap_or(0));
+            check_range("clock quality", quality, 0.0, 100.0)?;
         }
         check_count("maintenance", self.maintenance.len(), 0, MAX_CHANNELS)?;
         for maintenance in &self.maintenance {

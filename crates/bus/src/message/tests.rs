@@ -35,6 +35,7 @@ fn samples(sequence: u64, time_ns: i64, count: usize) -> SampleBlock {
         channels: 2,
         samples: (0..2 * count).map(|v| v as f64).collect(),
         state: NodeState::Running,
+        clock_quality: None,
     }
 }
 
@@ -414,5 +415,33 @@ fn invalid_shared_samples_are_rejected() {
             .unwrap_err()
             .to_string();
         assert!(error.contains(what), "{error}");
+    }
+}
+
+#[test]
+fn quality_of_the_clock_travels_beside_the_payload_of_samples() {
+    let plain = samples(0, 5, 3);
+    let stated = SampleBlock {
+        clock_quality: Some(87),
+        ..plain.clone()
+    };
+    // Readers of former versions read the same payload.
+    assert_eq!(stated.encode().unwrap(), plain.encode().unwrap());
+    assert_eq!(plain.attachment(), None);
+    assert_eq!(stated.attachment().as_deref(), Some("clock-quality=87"));
+    let read = |attachment: &str| {
+        let mut block = plain.clone();
+        block.attach(attachment);
+        block.clock_quality
+    };
+    assert_eq!(read("clock-quality=87"), Some(87));
+    for wrong in [
+        "clock-quality=101",
+        "clock-quality=-1",
+        "clock-quality",
+        "",
+        "87",
+    ] {
+        assert_eq!(read(wrong), None, "{wrong:?}");
     }
 }

@@ -86,6 +86,7 @@ fn encoded() -> Vec<(&'static str, Vec<u8>)> {
         channels: 2,
         samples: (0..20).map(f64::from).collect(),
         state: StreamState::Running,
+        clock_quality: None,
     };
     let frames = FrameBlock {
         header: header(),

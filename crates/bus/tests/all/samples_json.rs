@@ -23,6 +23,7 @@ fn block() -> SampleBlock {
         channels: 2,
         samples: vec![0.5, -1.0, 2.0, 1e-3],
         state: NodeState::Running,
+        clock_quality: None,
     }
 }
 

@@ -527,6 +527,37 @@ fn node_whose_clock_is_an_hour_off_has_a_wrong_clock_and_the_others_are_alive() 
     assert_eq!((found.sensors.alive, found.sensors.total), (5, 6));
 }
 
+#[test]
+fn stated_quality_of_a_clock_is_shown_and_its_sensor_is_alive() {
+    let mut store = demo();
+    store.handle(present(&[(Service::Sensor, "floor-3")]));
+    let Input::Status(mut of_ingest) = status(Service::Ingest, CLOCK_NS, Some(Pace::Live)) else {
+        panic!("a status");
+    };
+    let clock = NodeClock {
+        quality_percent: Some(35),
+        ..NodeClock::default()
+    };
+    of_ingest.clocks.insert(name("floor-3"), clock);
+    store.handle(Input::Status(of_ingest));
+    let states = sensor_states(&store);
+    let state = states.iter().find(|state| state.node == "floor-3").unwrap();
+    assert_eq!(state.health, SensorHealth::Alive);
+    let shown = serde_json::to_value(state).unwrap();
+    assert_eq!(shown["clock"]["quality_percent"], 35);
+    let no_refusals = std::collections::BTreeMap::new();
+    let text = crate::metrics::metrics(std::iter::once(&store), &no_refusals).unwrap();
+    let mut lines = text
+        .lines()
+        .filter(|line| line.starts_with("spandrel_sensor_clock_quality_ratio{"));
+    let line = lines.next().unwrap();
+    assert!(
+        line.contains("node=\"floor-3\"") && line.ends_with(" 0.35"),
+        "{line}"
+    );
+    assert_eq!(lines.next(), None, "other nodes state no quality");
+}
+
 /// A wall clock time.
 const CLOCK_NS: i64 = 1_795_000_000_000_000_000;
 

@@ -201,6 +201,7 @@ fn packets(channels: &[RecordedChannel]) -> Vec<Packet> {
                     label: channel.name().to_owned(),
                     start_ns: Some(segment.start_ns().saturating_add(offset_ns)),
                     rate_hz: Some(rate_hz),
+                    clock_quality: channel.clock_quality(),
                     values: values.to_vec(),
                 });
             }

@@ -78,6 +78,7 @@ fn packet(label: &str, number: i64) -> Packet {
         values: (number * 25..number * 25 + 25)
             .map(|sample| 100.0 * sample as f64)
             .collect(),
+        clock_quality: None,
     }
 }
 
@@ -125,6 +126,29 @@ fn packets_become_numbered_blocks_in_si_units() {
     let expected: Vec<Vec<f64>> = (0..100).map(|sample| vec![f64::from(sample); 2]).collect();
     assert_eq!(values, expected);
     assert!(feed.drops(0).is_empty());
+}
+
+#[test]
+fn blocks_have_the_lowest_stated_quality_of_the_clock() {
+    let mut feed = feed();
+    let mut number = 0;
+    let mut quality = |stated: [Option<u8>; 2]| {
+        let mut out = Vec::new();
+        for (label, clock_quality) in ["EHZ", "ENZ"].into_iter().zip(stated) {
+            let packet = Packet {
+                clock_quality,
+                ..packet(label, number)
+            };
+            out.extend(send(&mut feed, &[packet], at(number)));
+        }
+        number += 1;
+        blocks(&out).last().unwrap().clock_quality
+    };
+    // Programs that do not know the quality write 0.
+    assert_eq!(quality([None, Some(0)]), None);
+    assert_eq!(quality([Some(90), Some(70)]), Some(70));
+    assert_eq!(quality([Some(90), Some(0)]), Some(0));
+    assert_eq!(quality([Some(90), None]), Some(90));
 }
 
 #[test]
@@ -326,6 +350,7 @@ fn conditions_beside_channels_are_returned_once_and_wrong_ones_are_errors() {
         start_ns: Some(time_ns),
         rate_hz: None,
         values: vec![tenths],
+        clock_quality: None,
     };
     let stored = Input::Stored {
         source: 0,

@@ -54,6 +54,7 @@ impl Row<'_> {
                     start_ns,
                     rate_hz: None,
                     values: vec![number(field, text)?],
+                    clock_quality: None,
                 })
             })
             .collect()

@@ -38,6 +38,7 @@ pub(super) fn parse(line: &str) -> Result<Packet, LineFault> {
         start_ns: Some(start_ns),
         rate_hz: None,
         values,
+        clock_quality: None,
     })
 }
 

@@ -31,6 +31,7 @@ pub(super) fn parse(
             start_ns,
             rate_hz: None,
             values: samples(field, value)?,
+            clock_quality: None,
         });
     }
     match packets.is_empty() {

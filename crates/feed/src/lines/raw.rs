@@ -69,6 +69,7 @@ impl RawFormat {
                 .step_by(self.columns.len())
                 .filter_map(|number| self.number.read(number))
                 .collect(),
+            clock_quality: None,
         };
         Ok(self.columns.iter().enumerate().map(packet).collect())
     }

@@ -30,6 +30,7 @@ fn datacast_of_the_manual_is_read() {
         start_ns: Some(1_507_760_140_530_000_000),
         rate_hz: None,
         values: vec![614.0, 916.0, 1095.0, 1156.0, 839.0],
+        clock_quality: None,
     };
     assert_eq!(LineFormat::RaspberryShake.parse(line), Ok(vec![expected]));
 }

@@ -39,6 +39,7 @@ fn samples(from: u64, to: u64, pace: Pace) -> SampleBlock {
         channels: 2,
         samples: (from..to).flat_map(value).collect(),
         state: StreamState::Running,
+        clock_quality: None,
     }
 }
 

@@ -132,6 +132,7 @@ impl Lives {
                 .flat_map(|number| vec![value(number); node.channels().len()])
                 .collect(),
             state: StreamState::Running,
+            clock_quality: None,
         };
         self.put += BLOCK;
         self.samples.put(block).await.unwrap();

@@ -89,6 +89,7 @@ impl Site {
             channels: 1,
             samples: (0..ROWS).map(|row| (steps + row as i64) as f64).collect(),
             state: StreamState::Running,
+            clock_quality: None,
         };
         self.sequences[node] = block.end();
         block

@@ -34,6 +34,7 @@ fn block(node: usize, time_ns: i64, values: &[f64]) -> SampleBlock {
         channels: 1,
         samples: values.to_vec(),
         state: StreamState::Running,
+        clock_quality: None,
     }
 }
 

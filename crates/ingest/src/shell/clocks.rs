@@ -57,8 +57,28 @@ impl IngestService {
         Ok(())
     }
 
-    /// Returns the clocks of the nodes that do not sample at the times of the frames, or whose time
-    /// differs from that of most nodes.
+    /// Publishes an event for each node whose source has begun to state a low quality of its clock.
+    pub(super) async fn report_quality(&mut self) -> Result<(), IngestError> {
+        for low in self.quality_watch.read() {
+            let Some(node) = self.layout.nodes().get(low.node) else {
+                continue; // the watch has the indices of the layout
+            };
+            let (what, why) = low.describe();
+            let event = Event {
+                structure: self.keys.structure().clone(),
+                time_ns: self.last_time_ns.unwrap_or(0),
+                kind: EventKind::ClockDoubtful,
+                subject: node.name.to_string(),
+                what,
+                why,
+            };
+            self.events.put(&event).await?;
+        }
+        Ok(())
+    }
+
+    /// Returns the clocks of the nodes that do not sample at the times of the frames, whose time
+    /// differs from that of most nodes, or whose source states their quality.
     pub(super) fn node_clocks(&self) -> BTreeMap<Name, NodeClock> {
         let names = self.layout.nodes().iter().map(|node| node.name.clone());
         let own = names.clone().zip(self.core.node_clocks());
@@ -67,7 +87,7 @@ impl IngestService {
             .collect();
         if let Some(timekeeping) = &self.timekeeping {
             let differences = timekeeping.differences_s(self.started.elapsed());
-            for (name, difference_s) in names.zip(differences) {
+            for (name, difference_s) in names.clone().zip(differences) {
                 if difference_s.is_some() {
                     clocks.insert(
                         name,
@@ -77,6 +97,11 @@ impl IngestService {
                         },
                     );
                 }
+            }
+        }
+        for (name, quality_percent) in names.zip(self.quality_watch.qualities()) {
+            if quality_percent.is_some() {
+                clocks.entry(name).or_default().quality_percent = quality_percent;
             }
         }
         clocks

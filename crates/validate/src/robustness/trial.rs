@@ -203,6 +203,7 @@ fn frames(
                 channels: 1,
                 samples: rows.iter().map(|row| row[channel]).collect(),
                 state: StreamState::Running,
+                clock_quality: None,
             };
             alignment.handle(AlignmentInput::Samples { node, block }, &mut frames);
         }

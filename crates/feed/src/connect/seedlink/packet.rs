@@ -35,6 +35,7 @@ pub(super) fn packets_of(payload: &[u8]) -> Result<Received, String> {
                 label: channel.name().to_owned(),
                 start_ns: Some(segment.start_ns()),
                 rate_hz: channel.sampling_rate_hz(),
+                clock_quality: channel.clock_quality(),
                 values: segment.samples().to_vec(),
             });
         }

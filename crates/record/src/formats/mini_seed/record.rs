@@ -11,6 +11,8 @@ pub(super) struct Record {
     pub(super) name: String,
     pub(super) rate_hz: f64,
     pub(super) start_ns: i64,
+    /// Quality of the time as the recorder states it, per cent.
+    pub(super) clock_quality: Option<u8>,
     pub(super) samples: Vec<f64>,
 }
 

@@ -34,6 +34,8 @@ struct Blockettes {
     /// Encoding, byte order and exponent of the record length, from blockette 1000.
     data: Option<(u8, u8, u8)>,
     microseconds: i8,
+    /// Quality of the time, per cent.
+    clock_quality: Option<u8>,
     rate_hz: Option<f32>,
 }
 
@@ -158,6 +160,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
             name,
             rate_hz,
             start_ns,
+            clock_quality: blockettes.clock_quality,
             samples,
         }),
         length,
@@ -188,7 +191,8 @@ impl Blockettes {
             match kind {
                 1000 => found.data = Some((blockette.u8()?, blockette.u8()?, blockette.u8()?)),
                 1001 => {
-                    blockette.u8()?; // quality of the time
+                    // The manual allows 0 to 100.
+                    found.clock_quality = Some(blockette.u8()?).filter(|quality| *quality <= 100);
                     found.microseconds = blockette.u8()? as i8;
                 }
                 100 => found.rate_hz = Some(blockette.f32()?),

@@ -29,7 +29,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
     let extra_length = usize::from(header.u16()?);
     let data_length = header.u32()? as usize;
     let identifier = text(header.take(identifier_length)?);
-    header.take(extra_length)?;
+    let clock_quality = clock_quality(header.take(extra_length)?);
     let data_start = header.position();
     let data = header.take(data_length)?;
     let length = header.position();
@@ -83,10 +83,20 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
             name: name_of(&identifier),
             rate_hz,
             start_ns,
+            clock_quality,
             samples,
         }),
         length,
     ))
+}
+
+/// Returns the quality of the time in the extra headers, per cent. `None` if they do not state it.
+fn clock_quality(extra_headers: &[u8]) -> Option<u8> {
+    let headers: serde_json::Value = serde_json::from_slice(extra_headers).ok()?;
+    let quality = headers["FDSN"]["Time"]["Quality"].as_f64()?;
+    (0.0..=100.0)
+        .contains(&quality)
+        .then(|| quality.round() as u8)
 }
 
 /// Converts `FDSN:IU_COLA_00_L_H_Z` to `IU.COLA.00.LHZ`, the form of version 2. Other identifiers

@@ -30,6 +30,10 @@ fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fa
     let (name, rate_hz) = records.first().map_or((String::new(), 1.0), |(_, first)| {
         (first.name.clone(), first.rate_hz)
     });
+    let qualities = records
+        .iter()
+        .filter_map(|(_, record)| record.clock_quality);
+    let clock_quality = qualities.min();
     let mut segments: Vec<(i64, Vec<f64>)> = Vec::new();
     for (place, record) in records {
         if (record.rate_hz - rate_hz).abs() > SAME_RATE * rate_hz {
@@ -78,5 +82,6 @@ fn join_channel(mut records: Vec<(usize, Record)>) -> Result<RecordedChannel, Fa
         .collect();
     Ok(RecordedChannel::new(name, Some(rate_hz), segments)
         .with_unit("counts")
-        .with_origin(TimeOrigin::Epoch))
+        .with_origin(TimeOrigin::Epoch)
+        .with_clock_quality(clock_quality))
 }

@@ -11,6 +11,7 @@ struct Writer {
     channel: &'static str,
     /// Time since 2020-01-01T00:00:00, in units of 0.1 ms.
     ticks: u32,
+    clock_quality: u8,
 }
 
 /// Settings for records of 256 bytes with 32-bit integers at 100 Hz.
@@ -20,6 +21,7 @@ const PLAIN: Writer = Writer {
     power: 8,
     channel: "HNZ",
     ticks: 0,
+    clock_quality: 100,
 };
 
 impl Writer {
@@ -71,7 +73,7 @@ impl Writer {
             0,
         ]);
         bytes.extend([self.u16(1001), self.u16(0)].concat());
-        bytes.extend([100, 42, 0, 0]); // 42 µs
+        bytes.extend([self.clock_quality, 42, 0, 0]); // 42 µs
         bytes.extend(data);
         bytes.resize(1 << self.power, 0);
         bytes
@@ -288,6 +290,11 @@ fn blockette_that_refers_to_itself_is_rejected() {
 
 /// Returns a record of version 3 with 32-bit integers.
 fn version_3(values: &[i32], rate: f64) -> Vec<u8> {
+    version_3_with(values, rate, b"")
+}
+
+/// Returns such a record with extra headers.
+fn version_3_with(values: &[i32], rate: f64, extra_headers: &[u8]) -> Vec<u8> {
     let identifier = b"FDSN:XX_TEST_00_H_N_Z";
     let mut bytes = b"MS\x03\0".to_vec();
     bytes.extend(123_456_789_u32.to_le_bytes());
@@ -295,13 +302,37 @@ fn version_3(values: &[i32], rate: f64) -> Vec<u8> {
     bytes.extend([0, 0, 0, 3]);
     bytes.extend(rate.to_le_bytes());
     bytes.extend([(values.len() as u32).to_le_bytes(), [0; 4]].concat());
-    bytes.extend([1, identifier.len() as u8, 0, 0]);
+    bytes.extend([1, identifier.len() as u8]);
+    bytes.extend((extra_headers.len() as u16).to_le_bytes());
     bytes.extend((4 * values.len() as u32).to_le_bytes());
     bytes.extend(identifier);
+    bytes.extend(extra_headers);
     bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
     let checksum = record3::checksum(&bytes);
     bytes[28..32].copy_from_slice(&checksum.to_le_bytes());
     bytes
+}
+
+#[test]
+fn lowest_quality_of_the_clock_is_read() {
+    let of = |ticks, clock_quality| {
+        let writer = Writer {
+            clock_quality,
+            ..PLAIN.after(ticks)
+        };
+        writer.integers(&[1, 2, 3])
+    };
+    let file = [of(0, 90), of(300, 35), of(600, 80)].concat();
+    assert_eq!(read(&file).unwrap()[0].clock_quality(), Some(35));
+    // Above the range of the manual.
+    assert_eq!(read(&of(0, 101)).unwrap()[0].clock_quality(), None);
+    assert_eq!(
+        read(&version_3(&[1, 2], 100.0)).unwrap()[0].clock_quality(),
+        None
+    );
+    let extra = br#"{"FDSN":{"Time":{"Quality":87.6}}}"#;
+    let stated = version_3_with(&[1, 2], 100.0, extra);
+    assert_eq!(read(&stated).unwrap()[0].clock_quality(), Some(88));
 }
 
 #[test]
