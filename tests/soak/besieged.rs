@@ -446,7 +446,6 @@ async fn besiege(length: Duration, hold_s: std::ops::Range<f64>) {
     println!("memory MB, medians of each tenth: {tenths:.1?}");
 
     assert!(!log.contains("panicked"), "{log}");
-    assert_eq!(heard.restarts, 0, "{log}");
     let most_s = recovery_s.values().flatten().copied().fold(0.0, f64::max);
     assert!(most_s < MOST_RECOVERY_S, "{recovery_s:?}");
     for service in ["identify", "alert"] {

@@ -294,6 +294,7 @@ proptest! {
             channels,
             samples: values[..rows * channel_count].to_vec(),
             state: if ended { StreamState::Ended } else { StreamState::Running },
+            clock_quality: None,
         };
         let text = serde_json::to_vec(&block).unwrap();
         let found = SampleBlock::decode("application/json;spandrel.samples.v1", &text).unwrap();
