@@ -9,8 +9,8 @@ use crate::support::{
 };
 use spandrel_bus::{Bus, Keys, SampleBlock, Service, Status};
 use spandrel_record::{FrameLog, LogLayout, LogSettings, LoggedFrames};
+use spandrel_service::Clock;
 use std::collections::BTreeMap;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 const ROWS: usize = 800;
 /// Row at which clocks are set.
@@ -271,7 +271,7 @@ async fn a_machine_whose_clock_is_set_while_services_run_identifies_the_same() {
         let shown = async {
             loop {
                 let (_, status) = statuses.messages().recv_async().await.unwrap();
-                let off_s = (status.time_ns - now_ns()) / SECOND_NS - ahead_s;
+                let off_s = (status.time_ns - Clock::of_machine().now_ns()) / SECOND_NS - ahead_s;
                 if off_s.abs() <= 3 {
                     break;
                 }
@@ -289,11 +289,6 @@ async fn a_machine_whose_clock_is_set_while_services_run_identifies_the_same() {
     let lost: Vec<_> = status.drops.keys().filter(is_loss).collect();
     assert!(lost.is_empty(), "{:?}", status.drops);
     running.end().await;
-}
-
-fn now_ns() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-    since.as_nanos() as i64
 }
 
 #[tokio::test(flavor = "multi_thread")]

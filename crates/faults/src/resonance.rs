@@ -82,12 +82,12 @@ impl WideSpectra {
             && self.powers.len().is_multiple_of(channels.max(1))
     }
 
-    fn of_channel(&self, channel: usize, bins: usize) -> Option<(&[f64], &[(f64, f64)])> {
-        let range = channel * bins..(channel + 1) * bins;
-        Some((
-            self.powers.get(range.clone())?,
-            self.with_ground.get(range)?,
-        ))
+    fn powers(&self, channel: usize, bins: usize) -> Option<&[f64]> {
+        self.powers.get(channel * bins..(channel + 1) * bins)
+    }
+
+    fn with_ground(&self, channel: usize, bins: usize) -> Option<&[(f64, f64)]> {
+        self.with_ground.get(channel * bins..(channel + 1) * bins)
     }
 }
 
@@ -155,8 +155,9 @@ impl Resonances {
         effective_windows: f64,
     ) -> Option<OfScales> {
         let bins = self.amplitudes.first()?.first()?.len();
-        let (ground, _) = spectra.of_channel(0, bins)?;
-        let (own, with_ground) = spectra.of_channel(channel, bins)?;
+        let ground = spectra.powers(0, bins)?;
+        let own = spectra.powers(channel, bins)?;
+        let with_ground = spectra.with_ground(channel, bins)?;
         let power: f64 = own.iter().sum();
         if channel == 0 || power <= 0.0 || ground.iter().sum::<f64>() <= 0.0 {
             return None;

@@ -26,7 +26,8 @@ use tokio::task::{JoinError, JoinSet};
 use tracing::{info, warn};
 
 /// The alerts, the monitoring and the clocks, and what shows whether the samples are measured. An
-/// event precedes the status with its consequences. A new alert service reports changes that were decided while no link existed.
+/// event precedes the status with its consequences. A new alert service reports changes that were
+/// decided while no link existed.
 const NEEDS: Needs = Needs {
     topics: &[
         DisplayTopic::Events,
