@@ -25,8 +25,8 @@ const IN_DOUBT: f64 = 0.5;
 
 /// Probability of a fault above which a channel is faulty.
 ///
-/// With 0.9, more small factors are named, but a sound sensor is excluded during one of twelve real
-/// losses.
+/// With 0.9, more small factors are named. A sound sensor is then excluded during one of twelve
+/// simulated losses of 40 % (docs/theory/sensor-faults.md).
 const FAULTY: f64 = 0.99;
 
 /// Probability of a fault below which a faulty channel counts as sound again.

@@ -163,9 +163,9 @@ pub struct Status {
     /// State of each instrument by its name. Only feed reports it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub instruments: BTreeMap<String, InstrumentStatus>,
-    /// When the nodes sample. Only ingest reports it, for nodes that do not sample at the times of
-    /// the frames, whose clock differs from that of most nodes, or whose source states the quality
-    /// of its clock.
+    /// When the nodes sample. Only ingest reports it. It contains nodes that do not sample at the
+    /// times of the frames, and nodes whose clock differs from that of most nodes. Nodes whose source
+    /// states the quality of its clock are there as well.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub clocks: BTreeMap<Name, NodeClock>,
     /// Present maintenance of the structure. Only notify reports it.
