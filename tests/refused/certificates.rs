@@ -142,7 +142,7 @@ pub fn all(table: &mut Table) {
             &["half.json5"],
         ),
         (
-            "a role that is none",
+            "an unknown role",
             ("site", &["issue", ".", "boss", "x"]),
             &["boss", "operator"],
         ),

@@ -253,7 +253,7 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         &["spandrel.toml", "line 1"],
     ),
     (
-        "a number below the least",
+        "a number below the minimum",
         "threads = 0\n",
         &["spandrel.toml", "threads", "nonzero"],
     ),
@@ -680,7 +680,7 @@ fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'stati
             &["byte 136", "2147483647"],
         ),
         (
-            "miniSEED of no year",
+            "miniSEED without a valid year",
             "none.mseed".into(),
             filled(b"000001D BRDG 00HNZXX", 0xff, 48),
             &["byte 20", "1900 to 2100"],

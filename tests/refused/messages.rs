@@ -235,7 +235,7 @@ async fn samples(table: &mut Table, running: &mut Running) {
             ("foreign-blocks", 1),
         ),
         (
-            "an earlier life of the node",
+            "an earlier run of the node",
             SAMPLES,
             changed(&|block| block.header.epoch = 0),
             ("stale-blocks", 1),
@@ -635,7 +635,7 @@ async fn queries(table: &mut Table, running: &Running) {
             &["after", "x"],
         ),
         (
-            "a history of points that are none",
+            "a history with an invalid number of points",
             format!("{of_history}?points=none"),
             &["points", "none"],
         ),

@@ -80,7 +80,7 @@ pub enum Command {
         after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem"
     )]
     History(ServiceArguments),
-    /// Notify people of alerts and of blind structures by webhook, Alertmanager and e-mail.
+    /// Notify people of alerts, and of structures whose damage would go unnoticed, by webhook, Alertmanager and e-mail.
     #[command(
         after_help = "Examples: spandrel notify --config spandrel.toml\n          \
                             spandrel notify --config spandrel.toml --test"
@@ -98,7 +98,7 @@ pub enum Command {
     /// Note an inspection, a repair or another fact about a structure that is judged for lasting
     /// change.
     ///
-    /// The service judge keeps the note. With --new-reference, its reference starts anew.
+    /// The service judge keeps the note. With --new-reference, it starts a new reference.
     #[command(
         after_help = "Examples: spandrel annotate bridge inspection \"crack in the bearing\" --quantity pier-2 --seen\n          \
                             spandrel annotate bridge repair \"new bearings\" --new-reference --from 2026-11-20\n          \
@@ -469,7 +469,7 @@ pub struct AnnotateArguments {
     /// Mark the present lasting change as seen by you.
     #[arg(long, conflicts_with = "new_reference")]
     pub seen: bool,
-    /// Start the reference anew at the beginning: forget the commissioning and the lasting change.
+    /// Start a new reference at the time --from, and discard the commissioning and the lasting change.
     ///
     /// Use it after the structure was changed on purpose. A new commissioning begins.
     #[arg(long)]
@@ -562,7 +562,7 @@ pub struct IdentifyArguments {
     pub node: Vec<String>,
     /// Stand by while another process identifies a structure, and take over if it fails.
     ///
-    /// Others consider this process failed after 2 s without a sign of life, unless bus.lease_s is
+    /// Others consider this process failed after 2 s without a message from it, unless bus.lease_s is
     /// set.
     #[arg(long, conflicts_with = "node")]
     pub standby: bool,
@@ -579,7 +579,7 @@ pub struct DemoArguments {
     /// Seed of excitation and noise.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Show no view and no page, only alerts and the result, for scripts.
+    /// Print only alerts and the result, without terminal view and web page; for scripts.
     #[arg(long, conflicts_with_all = ["http", "open", "stay"])]
     pub headless: bool,
     /// Keep serving the page after the end, until Ctrl-C.
@@ -593,7 +593,7 @@ pub struct DemoArguments {
     /// Demonstrate distributed identification, with a filter in each node and a station that fuses
     /// the estimates.
     ///
-    /// The structure has forty storeys and sixteen nodes. One node has a permanent offset, one is
+    /// The structure has forty storeys and sixteen nodes. One node has a constant offset, one is
     /// silent for a while, and all have spikes.
     #[arg(long, conflicts_with = "structure")]
     pub distributed: bool,
@@ -724,7 +724,7 @@ pub struct JudgeArguments {
     /// CSV file with a time, the quantities and the conditions; may be repeated in the order of
     /// time.
     ///
-    /// The model of the structure file may then be missing.
+    /// The structure file then needs no model.
     #[arg(long, value_name = "FILE")]
     pub series: Vec<PathBuf>,
     /// Print what each reference promises, what it achieves, and what it misses.
@@ -767,7 +767,7 @@ pub struct EarthquakeArguments {
     /// Loss of stiffness that matters, as a share [default: that of the table, otherwise 0.05].
     #[arg(long, value_name = "SHARE", value_parser = below_1, allow_negative_numbers = true)]
     pub loss: Option<f64>,
-    /// Probability from which a loss is raised [default: that of the table, otherwise 0.99].
+    /// Minimum probability at which a loss is reported [default: that of the table earthquakes, otherwise 0.99].
     #[arg(long, value_name = "PROBABILITY", value_parser = below_1, allow_negative_numbers = true)]
     pub credibility: Option<f64>,
 }
@@ -805,7 +805,7 @@ pub struct ModesArguments {
     /// files [default: structures of the configuration].
     ///
     /// A recording is a file of any known format, or a zip archive or folder of such files. The files
-    /// of a folder are recordings of their own if they have the same channels.
+    /// of a folder are separate recordings if they have the same channels.
     #[arg(value_name = "FILE", required_unless_present = "live")]
     pub files: Vec<PathBuf>,
     /// Run the service that follows the natural frequencies of live samples.
@@ -960,7 +960,7 @@ pub struct ParticleArguments {
     /// Time for which a Kalman filter runs before particles are drawn (s) [default: 2].
     #[arg(long, value_name = "SECONDS", value_parser = not_negative, allow_negative_numbers = true)]
     pub warm_up: Option<f64>,
-    /// Seed of all draws [default: 0].
+    /// Seed of the random numbers [default: 0].
     #[arg(long)]
     pub seed: Option<u64>,
 }
@@ -1042,7 +1042,7 @@ pub struct CheckArguments {
     /// Length of data for which to report standard deviations (s).
     #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub after: f64,
-    /// Recording with which to compare the sensors with each other instead; may be repeated.
+    /// Compare the sensors with each other in this recording instead of checking the design; may be repeated.
     #[arg(long, value_name = "RECORD", conflicts_with = "after")]
     pub record: Vec<PathBuf>,
     /// Compare the sensors with each other in SECONDS of live data instead.

@@ -347,10 +347,10 @@ impl fmt::Display for ModalCheckPage {
         }
         writeln!(f)?;
         for text in &self.can_tell {
-            writeln!(f, "can tell: {text}")?;
+            writeln!(f, "identifies: {text}")?;
         }
         for text in &self.cannot_tell {
-            writeln!(f, "cannot tell: {text}")?;
+            writeln!(f, "does not identify: {text}")?;
         }
         if !self.warnings.is_empty() {
             writeln!(f)?;
@@ -437,7 +437,7 @@ mod tests {
             text.contains("lasting changes of sway-1, sway-2, after"),
             "{text}"
         );
-        assert!(text.contains("cannot tell: which part"), "{text}");
+        assert!(text.contains("does not identify: which part"), "{text}");
         assert!(page.warnings.is_empty(), "{text}");
     }
 
@@ -463,7 +463,7 @@ mod tests {
     fn rules_that_no_filter_serves_are_named() {
         let updated = include_str!("../../../docs/examples/modes/stiffness.toml");
         let text = page(updated).to_string();
-        let told = "cannot tell: alerts: 1 rule [[alert]] on storey-1, storey-2, storey-3, storey-4, \
+        let told = "does not identify: alerts: 1 rule [[alert]] on storey-1, storey-2, storey-3, storey-4, \
                     storey-5 decides nothing live, because no filter runs";
         assert!(text.contains(told), "{text}");
         assert!(!page(SENSORS_ONLY).to_string().contains("alerts:"));

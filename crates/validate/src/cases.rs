@@ -202,14 +202,14 @@ static CASES: [Case; 29] = [
     },
     Case {
         name: "distributed.building",
-        title: "Forty-storey building, sixteen nodes that identify for themselves",
+        title: "Forty-storey building, sixteen nodes with their own filters",
         source: BOOK_6,
         weight: 600.0,
         run: distributed::building,
     },
     Case {
         name: "distributed.bridge",
-        title: "Bridge with two piers, fifteen nodes that identify for themselves",
+        title: "Bridge with two piers, fifteen nodes with their own filters",
         source: BOOK_6,
         weight: 3000.0,
         run: distributed::bridge,

@@ -15,7 +15,7 @@ use crate::lines::{LineSplitter, quoted};
 use crate::packet::Packet;
 use crate::source_plan::{MqttSession, MqttTopic, Payload};
 
-/// Interval of the signs of life. After one and a half of it without any, the broker closes the
+/// Keep-alive interval. After one and a half intervals without a packet, the broker closes the
 /// connection.
 const KEEP_ALIVE: Duration = Duration::from_secs(20);
 /// Maximum size of a message in bytes.

@@ -405,7 +405,7 @@ impl UpdatePrecision {
         (gain >= LEAST_GAIN).then(|| 1.0 - (-FOUND_QUANTILE * std / gain).exp())
     }
 
-    /// Returns the correlation of the changes of two parts. Near −1, the modes see their sum, and
+    /// Returns the correlation of the changes of two parts. Near −1, the modes determine their sum, but
     /// not which of them has changed.
     #[must_use]
     pub fn correlation(&self, one: usize, other: usize) -> f64 {

@@ -392,7 +392,7 @@ fn isolation_of(
     if let Some(fused) = watched.iter().find(is_fused) {
         let name = fused.structure.name();
         return refuse(format!(
-            "the nodes of {name} identify for themselves, in other processes; use a router"
+            "the nodes of {name} have their own filters, in other processes; use a router"
         ));
     }
     Ok(isolation(&Name::new(&*settings.bus.root)?))

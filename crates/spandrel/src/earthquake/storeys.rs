@@ -40,7 +40,7 @@ pub fn with_displacements(structure: Structure, path: &Path) -> WithDisplacement
     if structure.fusion().is_some() {
         return without(
             structure,
-            "nodes that identify for themselves estimate no displacement",
+            "nodes with their own filters estimate no displacement",
         );
     }
     let table: toml::Table = structure.text().parse().unwrap_or_default();

@@ -26,7 +26,7 @@ pub(super) struct Updatable<'f> {
     pub(super) parameters: Option<&'f [ParameterRead]>,
     /// Whether there is a model of linear springs.
     pub(super) is_linear: bool,
-    /// Whether the nodes identify for themselves.
+    /// Whether the nodes have their own filters.
     pub(super) is_distributed: bool,
 }
 
