@@ -296,10 +296,20 @@ impl Decision {
 
     /// Returns the reason why no decision is possible. `None` while alerts are decided.
     pub fn undecided_because(&self) -> Option<UndecidedBecause> {
-        self.support.undecided_because()
+        let of_reference = || {
+            self.lacks_reference()
+                .then_some(UndecidedBecause::NothingLearnt)
+        };
+        self.support.undecided_because().or_else(of_reference)
     }
 
-    /// Returns the number of frames with and without a decision since the reference was known.
+    /// Returns `true` if a span is over, and its estimates were too uncertain for a reference.
+    fn lacks_reference(&self) -> bool {
+        matches!(self.stage, Stage::Learning { .. }) && self.decided.frames() > 0
+    }
+
+    /// Returns the number of frames with and without a decision since the reference was known, or
+    /// should have been.
     pub fn decided_frames(&self) -> &DecidedFrames {
         &self.decided
     }
@@ -326,6 +336,9 @@ impl Decision {
         }
         let decides = self.support.decides();
         let is_unsettled = self.motion.is_unsettled();
+        if self.lacks_reference() {
+            self.decided.count(hindrance.or(self.undecided_because()));
+        }
         match &mut self.stage {
             // A reference is learnt from weak motion, as a loss is raised from it.
             Stage::Learning { .. } if decides && !is_unsettled => self.learn(estimate, alerts),
@@ -334,6 +347,7 @@ impl Decision {
                 let skipped_ns = estimate.time_ns.saturating_sub(before_ns).max(0);
                 *started_ns = started_ns.map(|start_ns| start_ns.saturating_add(skipped_ns));
                 self.announce_change(alerts);
+                self.revise_undecided(alerts);
             }
             Stage::Watching { reference, watch } => {
                 let undecided = hindrance.or(self.support.undecided_because());
@@ -352,6 +366,7 @@ impl Decision {
                     self.revise(alerts);
                 } else {
                     self.announce_change(alerts);
+                    self.revise_undecided(alerts);
                 }
             }
         }
@@ -403,7 +418,7 @@ impl Decision {
     /// first estimate.
     pub(crate) fn vigilance(&self) -> Option<Vigilance> {
         let (estimate, _) = self.last.as_ref()?;
-        let because = self.support.undecided_because();
+        let because = self.undecided_because();
         let Stage::Watching { reference, .. } = &self.stage else {
             return Some(because.map_or(Vigilance::LearnsReference, Vigilance::Undecided));
         };
@@ -441,6 +456,15 @@ impl Decision {
         let Stage::Watching { reference, .. } = &self.stage else {
             return None; // the visibility of a loss depends on the reference
         };
+        (!self.is_learnt(estimate, reference)).then_some(UndecidedBecause::NothingLearnt)
+    }
+
+    /// Returns `true` if an estimate and a reference are certain enough for a decision.
+    ///
+    /// An uncertain estimate can still satisfy or exclude the rule, but it must come from data. A
+    /// narrow prior excludes losses without any data. An estimate that depends on an unmeasured
+    /// excitation is never much narrower than its prior.
+    fn is_learnt(&self, estimate: &ParameterEstimate, reference: &Reference) -> bool {
         let answers = || {
             let is_credible = probability_of_loss(estimate, reference, self.rule.loss())
                 >= self.rule.credibility();
@@ -449,13 +473,9 @@ impl Decision {
                     .support
                     .excludes_losses(estimate, reference, &self.rule)
         };
-        // An uncertain estimate can still satisfy or exclude the rule, but it must come from data.
-        // A narrow prior excludes losses without any data. An estimate that depends on an
-        // unmeasured excitation is never much narrower than its prior.
-        let is_learnt = self.knowledge == Knowledge::Measured
+        self.knowledge == Knowledge::Measured
             && (self.support.shows_losses(estimate, reference, &self.rule)
-                || (self.is_measured(estimate) && answers()));
-        (!is_learnt).then_some(UndecidedBecause::NothingLearnt)
+                || (self.is_measured(estimate) && answers()))
     }
 
     fn is_measured(&self, estimate: &ParameterEstimate) -> bool {
@@ -488,6 +508,9 @@ impl Decision {
     }
 
     /// Adds an estimate to the reference. Watching starts when the span is over.
+    ///
+    /// A reference of uncertain estimates would permit no decision, however certain later estimates
+    /// are. Such a span is repeated.
     fn learn(&mut self, estimate: ParameterEstimate, alerts: &mut Vec<Alert>) {
         let Stage::Learning {
             started_ns,
@@ -505,9 +528,13 @@ impl Decision {
         }
         let is_over = estimate.time_ns.saturating_sub(start_ns) >= *span_ns;
         learning.add(estimate.mean, estimate.std);
-        let learnt = learning.summary().filter(|_| is_over);
-        // If the reference is too uncertain, learning continues.
-        match learnt.and_then(|span| Reference::new(span.mean, span.variance().sqrt()).ok()) {
+        let Some(span) = learning.summary().filter(|_| is_over) else {
+            self.announce_change(alerts);
+            self.revise_undecided(alerts);
+            return;
+        };
+        let reference = Reference::new(span.mean, span.variance().sqrt()).ok();
+        match reference.filter(|reference| self.is_learnt(&estimate, reference)) {
             Some(reference) => {
                 self.stage = Stage::Watching {
                     reference,
@@ -515,7 +542,25 @@ impl Decision {
                 };
                 self.announce(alerts);
             }
-            None => self.announce_change(alerts),
+            None => {
+                self.repeat_learning(estimate.time_ns);
+                self.announce_change(alerts);
+            }
+        }
+    }
+
+    /// Discards the span that is over, and counts it as undecided.
+    fn repeat_learning(&mut self, time_ns: i64) {
+        if let Stage::Learning {
+            started_ns,
+            learning,
+            ..
+        } = &mut self.stage
+        {
+            (*started_ns, *learning) = (Some(time_ns), Learning::new());
+        }
+        if !self.lacks_reference() {
+            self.decided.count(Some(UndecidedBecause::NothingLearnt));
         }
     }
 
@@ -605,7 +650,7 @@ impl Decision {
             == (
                 state,
                 self.since_ns(),
-                self.support.undecided_because(),
+                self.undecided_because(),
                 self.acknowledgement(),
             )
         {
@@ -671,7 +716,7 @@ impl Decision {
     }
 
     fn state(&self) -> AlertState {
-        let is_undecided = self.support.undecided_because().is_some();
+        let is_undecided = self.undecided_because().is_some();
         match &self.stage {
             Stage::Learning { .. } if is_undecided => AlertState::Undecided,
             Stage::Learning { .. } => AlertState::Learning,

@@ -14,6 +14,9 @@ use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject
 pub(crate) struct Before<'a> {
     /// The last announced alert.
     pub(crate) alert: Option<&'a Alert>,
+    /// The last estimate. It explains why nothing is decided, also if an unconfirmed alert states an
+    /// earlier one.
+    pub(crate) now: ParameterEstimate,
     /// The strong motion from which the structure has not settled.
     pub(crate) shaking: Option<&'a Shaking>,
     /// The modes that contradict the model, in words.
@@ -28,7 +31,7 @@ pub(crate) fn describe(
     before: Before<'_>,
 ) -> String {
     let Subject { name, quantity, .. } = subject;
-    let undecided = |because| undecided(because, alert, before.modes);
+    let undecided = |because| undecided(because, rule, alert, before);
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
         return format!("no decision on {name}: {}", undecided(because));
     }
@@ -159,18 +162,19 @@ fn in_motion(shaking: &Shaking) -> String {
 }
 
 /// Returns the reason why nothing is decided, including the reasons for a contradicted fit.
-fn undecided(because: UndecidedBecause, alert: &Alert, modes: Option<&str>) -> String {
+fn undecided(because: UndecidedBecause, rule: &Rule, alert: &Alert, before: Before<'_>) -> String {
     match because {
         UndecidedBecause::FitContradicted => {
             let words = fit_in_words(FitVerdict::Contradicted, alert.fit_reasons);
+            let modes = before.modes;
             modes.map_or_else(|| words.clone(), |modes| format!("{words} ({modes})"))
         }
-        UndecidedBecause::NothingLearnt => nothing_learnt(because, alert),
+        UndecidedBecause::NothingLearnt => nothing_learnt(rule, alert, before.now),
         UndecidedBecause::NoiseTraining
         | UndecidedBecause::ExcitationSilent
         | UndecidedBecause::SensorInDoubt
         | UndecidedBecause::ParameterAtBound => {
-            let ParameterEstimate { mean, std, .. } = alert.estimate;
+            let ParameterEstimate { mean, std, .. } = before.now;
             format!("{} (estimate {mean:.3} ± {std:.3})", because.words())
         }
     }
@@ -179,10 +183,17 @@ fn undecided(because: UndecidedBecause, alert: &Alert, modes: Option<&str>) -> S
 /// Returns whether the estimate or the reference is too uncertain.
 ///
 /// The reference is the cause if it would hide the loss even from an exact estimate.
-fn nothing_learnt(because: UndecidedBecause, alert: &Alert) -> String {
-    let ParameterEstimate { mean, std, .. } = alert.estimate;
+fn nothing_learnt(rule: &Rule, alert: &Alert, now: ParameterEstimate) -> String {
+    let ParameterEstimate { mean, std, .. } = now;
     let Some(reference) = &alert.reference else {
-        return format!("{} (estimate {mean:.3} ± {std:.3})", because.words());
+        let span = match rule.reference() {
+            ReferenceRule::Learnt { span_ns } => format!(" of {}", duration(span_ns)),
+            ReferenceRule::Given(_) => String::new(),
+        };
+        return format!(
+            "a span{span} was too uncertain for a reference, so that it is learnt again \
+             (estimate {mean:.3} ± {std:.3})"
+        );
     };
     let twice = (2.0 * alert.rule_loss).min(1.0);
     let best = reference.largest_credible(alert.rule_loss, alert.rule_credibility);

@@ -110,6 +110,8 @@ struct Group {
     /// Stated noise of each channel (standard deviation, m/s²).
     noise_std: Vec<f64>,
     spectrum: Spectrum,
+    /// Whether the windows contain a second series of each channel, without spikes.
+    is_screened: bool,
     responses: Responses,
     resonances: Resonances,
     /// Expected without any records.
@@ -124,7 +126,7 @@ struct Group {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct GroupState {
-    /// The channels as measured, and then without spikes.
+    /// The channels as measured, and then without spikes if the structure screens outliers.
     windows: Windows,
     memories: Vec<Memory>,
     /// Whether a channel measures a motion that the others do not.
@@ -151,7 +153,7 @@ impl SensorCheck {
         let rate_hz = structure.sampling_rate_hz();
         let groups: Vec<Group> = motions
             .iter()
-            .flat_map(|motion| Group::of(motion, rate_hz))
+            .flat_map(|motion| Group::of(motion, rate_hz, structure.screens_outliers()))
             .collect();
         let mut health = vec![None; structure.channel_count()];
         for channel in groups.iter().flat_map(|group| &group.channels) {
@@ -184,7 +186,8 @@ impl SensorCheck {
     ///
     /// A screening with a wrong model takes motion for spikes. A spike that remains and a motion
     /// that is missing both disturb the low band. Of the two series of a channel, each window
-    /// therefore uses the one that follows the other channels better.
+    /// therefore uses the one that follows the other channels better. The first series counts alone
+    /// if the structure has no screening.
     pub fn take_screened(&mut self, measured: &[f64], without_spikes: &[f64]) -> Vec<Change> {
         let mut changes = Vec::new();
         for (group, state) in self.groups.iter().zip(&mut self.state.groups) {
@@ -202,10 +205,13 @@ impl SensorCheck {
                 extremes.take(value);
             }
             let both = measured.iter().copied().chain(of_group());
-            let Some(window) = group.spectrum.take(&mut state.windows, both) else {
+            let series = both.take(group.series());
+            let Some(mut window) = group.spectrum.take(&mut state.windows, series) else {
                 continue;
             };
-            let window = window.most_coherent();
+            if group.is_screened {
+                window = window.most_coherent();
+            }
             group.find(state, &window);
             for memory in &mut state.memories {
                 memory.add(&window);
@@ -409,7 +415,7 @@ impl SensorCheck {
     pub fn restore(&mut self, state: SensorCheckState) -> bool {
         let fits = |(group, state): (&Group, &GroupState)| {
             let count = group.channels.len();
-            group.spectrum.fits(&state.windows, 2 * count)
+            group.spectrum.fits(&state.windows, group.series())
                 && state.memories.len() == HALF_LIVES.len()
                 && state.memories.iter().all(|memory| memory.fits(count))
                 && state.offsets.fits(count)
@@ -490,7 +496,7 @@ impl Sums {
 
 impl Group {
     /// Splits a common motion into groups of limited size. The ground belongs to each.
-    fn of(motion: &CommonMotion, rate_hz: f64) -> Vec<Self> {
+    fn of(motion: &CommonMotion, rate_hz: f64, is_screened: bool) -> Vec<Self> {
         let members: Vec<usize> = motion.channels().collect();
         let noise_std: Vec<f64> = motion.noise_std().collect();
         let Some(spectrum) = Spectrum::new(motion.fundamental_hz(), rate_hz) else {
@@ -523,15 +529,21 @@ impl Group {
                 filters: BandFilters::new(motion.fundamental_hz(), rate_hz),
                 profiles: vec![None; own.len()],
                 spectrum: spectrum.clone(),
+                is_screened,
             }
         };
         parts.map(group).collect()
     }
 
+    /// Returns the number of series in a window.
+    fn series(&self) -> usize {
+        self.channels.len() * if self.is_screened { 2 } else { 1 }
+    }
+
     fn empty(&self) -> GroupState {
         let count = self.channels.len();
         GroupState {
-            windows: self.spectrum.windows(2 * count),
+            windows: self.spectrum.windows(self.series()),
             memories: HALF_LIVES
                 .iter()
                 .map(|half_life| Memory::new(count, *half_life))

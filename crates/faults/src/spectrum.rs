@@ -24,8 +24,14 @@ const LAST_BIN: usize = 48;
 /// Largest bin as a share of the samples of a window.
 const HIGHEST: f64 = 0.4;
 
-/// Largest share of missing samples in a window. The last value replaces a missing sample.
+/// Largest share of missing samples in a window.
 const MISSING_SHARE: f64 = 0.25;
+
+/// Longest gap that is interpolated, in periods of the fundamental.
+///
+/// A longer one distorts the resonance so much that it reaches the low band, where the channels
+/// then seem to disagree.
+const LONGEST_GAP: f64 = 0.125;
 
 /// The transform of one group of channels.
 #[derive(Debug, Clone)]
@@ -44,13 +50,16 @@ pub(crate) struct Spectrum {
 pub(crate) struct Windows {
     /// Number of samples since the start.
     count: u64,
+    /// Last sample per channel.
     last: Vec<f64>,
+    /// Missing samples per channel since the last one. The maximum before the first.
+    gaps: Vec<u32>,
     open: Vec<Window>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Window {
-    /// Real and imaginary part per channel and bin, channel by channel.
+    /// Real and imaginary part per bin and channel, bin by bin.
     sums: Vec<(f64, f64)>,
     /// Missing samples per channel.
     missing: Vec<u32>,
@@ -89,6 +98,7 @@ impl Spectrum {
         Windows {
             count: 0,
             last: vec![0.0; channels],
+            gaps: vec![u32::MAX; channels],
             open: vec![Window::new(channels, self.bins.len()); OVERLAP],
         }
     }
@@ -99,6 +109,7 @@ impl Spectrum {
             window.sums.len() == channels * self.bins.len() && window.missing.len() == channels
         };
         windows.last.len() == channels
+            && windows.gaps.len() == channels
             && windows.open.len() == OVERLAP
             && windows.open.iter().all(is_window)
     }
@@ -137,57 +148,113 @@ impl Spectrum {
     }
 
     /// Takes the values of one frame. Returns the coefficients of a window that is now complete.
+    ///
+    /// Missing samples are interpolated once the next sample has arrived. A channel with a long gap
+    /// has no coefficients in the windows that contain it.
     pub(crate) fn take(
         &self,
         windows: &mut Windows,
         values: impl Iterator<Item = f64>,
     ) -> Option<Coefficients> {
-        let quarter = self.samples / OVERLAP;
-        let bins = self.bins.len();
-        let place = |phase: usize, count: u64| {
-            let since = count.checked_sub((phase * quarter) as u64)?;
-            Some((since % self.samples as u64) as usize)
-        };
+        let longest = (LONGEST_GAP * self.samples as f64 / PERIODS) as u32;
+        let now = windows.count;
+        // What the windows receive of this frame: nothing of a missing sample, for now.
+        let mut taken = vec![0.0; windows.last.len()];
         for (channel, value) in values.enumerate() {
-            let is_missing = !value.is_finite();
-            if !is_missing {
-                windows.last[channel] = value;
+            let gap = windows.gaps[channel];
+            if !value.is_finite() {
+                windows.gaps[channel] = gap.saturating_add(1);
+                continue;
             }
-            let value = windows.last[channel];
-            for (phase, window) in windows.open.iter_mut().enumerate() {
-                let Some(place) = place(phase, windows.count) else {
-                    continue;
+            taken[channel] = value;
+            if (1..=longest).contains(&gap) {
+                let last = windows.last[channel];
+                let step = (value - last) / f64::from(gap + 1);
+                for age in 1..=gap {
+                    let missing = value - f64::from(age) * step;
+                    self.fill(windows, age as usize, channel, missing);
+                }
+            }
+            windows.last[channel] = value;
+            windows.gaps[channel] = 0;
+        }
+        for (phase, window) in windows.open.iter_mut().enumerate() {
+            let Some(place) = self.place(phase, now) else {
+                continue;
+            };
+            for (missing, gap) in window.missing.iter_mut().zip(&windows.gaps) {
+                *missing = match *gap {
+                    0 => *missing,
+                    gap if gap > longest => u32::MAX,
+                    _ => missing.saturating_add(1),
                 };
-                window.missing[channel] += u32::from(is_missing);
-                let weighted = value * (0.5 - 0.5 * self.turns[place].re);
-                let sums = &mut window.sums[channel * bins..(channel + 1) * bins];
-                for (sum, bin) in sums.iter_mut().zip(&self.bins) {
-                    let turn = self.turns[bin * place % self.samples];
-                    sum.0 += weighted * turn.re;
-                    sum.1 += weighted * turn.im;
+            }
+            let hann = self.hann(place);
+            for (sums, bin) in window.sums.chunks_mut(taken.len()).zip(&self.bins) {
+                let turn = hann * self.turns[bin * place % self.samples];
+                for (sum, value) in sums.iter_mut().zip(&taken) {
+                    sum.0 += value * turn.re;
+                    sum.1 += value * turn.im;
                 }
             }
         }
         let mut complete = None;
         for (phase, window) in windows.open.iter_mut().enumerate() {
-            if place(phase, windows.count) == Some(self.samples - 1) {
+            if self.place(phase, now) == Some(self.samples - 1) {
+                // Samples that are still missing cannot be interpolated in time.
+                for (missing, gap) in window.missing.iter_mut().zip(&windows.gaps) {
+                    if *gap > 0 {
+                        *missing = u32::MAX;
+                    }
+                }
                 complete = Some(self.coefficients(window));
-                *window = Window::new(window.missing.len(), bins);
+                *window = Window::new(taken.len(), self.bins.len());
             }
         }
         windows.count += 1;
         complete
     }
 
+    /// Adds the value of a frame before the present one to the windows that contain it.
+    fn fill(&self, windows: &mut Windows, age: usize, channel: usize, value: f64) {
+        for (phase, window) in windows.open.iter_mut().enumerate() {
+            let channels = window.missing.len();
+            let now = self.place(phase, windows.count);
+            let Some(place) = now.and_then(|now| now.checked_sub(age)) else {
+                continue; // the window started later
+            };
+            let hann = self.hann(place);
+            let sums = window.sums.iter_mut().skip(channel).step_by(channels);
+            for (sum, bin) in sums.zip(&self.bins) {
+                let turn = hann * self.turns[bin * place % self.samples];
+                sum.0 += value * turn.re;
+                sum.1 += value * turn.im;
+            }
+        }
+    }
+
+    /// Returns the place of a frame in the window of a phase. `None` before the first window.
+    fn place(&self, phase: usize, count: u64) -> Option<usize> {
+        let quarter = self.samples / OVERLAP;
+        let since = count.checked_sub((phase * quarter) as u64)?;
+        Some((since % self.samples as u64) as usize)
+    }
+
+    /// Returns the weight of a place in a window.
+    fn hann(&self, place: usize) -> f64 {
+        0.5 - 0.5 * self.turns[place].re
+    }
+
     fn coefficients(&self, window: &Window) -> Coefficients {
         let most = (MISSING_SHARE * self.samples as f64) as u32;
-        let of_channel = |(sums, missing): (&[(f64, f64)], &u32)| {
-            let values = sums.iter().map(|(re, im)| Complex::new(*re, *im));
+        let channels = window.missing.len();
+        let of_channel = |(channel, missing): (usize, &u32)| {
+            let sums = window.sums.iter().skip(channel).step_by(channels);
+            let values = sums.map(|(re, im)| Complex::new(*re, *im));
             (*missing <= most).then(|| values.collect())
         };
-        let channels = window.sums.chunks(self.bins.len()).zip(&window.missing);
         Coefficients {
-            of_channels: channels.map(of_channel).collect(),
+            of_channels: window.missing.iter().enumerate().map(of_channel).collect(),
         }
     }
 }
@@ -294,17 +361,27 @@ mod tests {
     }
 
     #[test]
-    fn window_with_many_missing_samples_has_no_coefficients() {
-        let lost = |from: f64, to: f64| {
-            move |t: f64| {
-                if (from..to).contains(&t) {
-                    f64::NAN
-                } else {
-                    t.sin()
-                }
-            }
+    fn short_gaps_are_interpolated_and_long_ones_leave_no_coefficients() {
+        let motion = |t: f64| (std::f64::consts::TAU * 0.2 * t).sin();
+        let first = |lost: &dyn Fn(f64) -> bool| {
+            let value = |t: f64| if lost(t) { f64::NAN } else { motion(t) };
+            complete(value, 480).remove(0).of_channels.remove(0)
         };
-        assert!(complete(lost(3.0, 3.6), 480)[0].of_channels[0].is_some());
-        assert!(complete(lost(3.0, 9.5), 480)[0].of_channels[0].is_none());
+        let whole = first(&|_| false).unwrap();
+        // Gaps of two samples, one of them across the start of the second window at 6 s.
+        let short = |t: f64| {
+            [3.02, 5.92, 11.02]
+                .iter()
+                .any(|from| (0.0..0.1).contains(&(t - from)))
+        };
+        let interpolated = first(&short).unwrap();
+        let largest = whole.iter().map(|one| one.norm()).fold(0.0, f64::max);
+        for (one, other) in whole.iter().zip(&interpolated) {
+            assert!((one - other).norm() < 2e-4 * largest, "{one} {other}");
+        }
+        assert_eq!(first(&|t| (3.02..3.18).contains(&t)), None, "three samples");
+        assert_eq!(first(&|t| t > 23.92), None, "a gap at the end");
+        let every_third = |t: f64| ((20.0 * t).round() as u64).is_multiple_of(3);
+        assert_eq!(first(&every_third), None, "a third of the samples");
     }
 }

@@ -5,6 +5,8 @@ mod events;
 mod fit;
 mod hearing;
 mod motion;
+mod recent;
+mod recovery;
 mod reliability;
 mod sensors;
 mod spikes;
@@ -19,6 +21,8 @@ use crate::screening::ScreeningView;
 use fit::FitView;
 use hearing::Hearing;
 use motion::Motion;
+use recent::{Inputs, Recent};
+use recovery::Recovery;
 use reliability::Reliability;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
@@ -162,6 +166,10 @@ pub struct Identification {
     /// State of each component of the excitation.
     hearing: Vec<Hearing>,
     reliability: Reliability,
+    recent: Recent,
+    recovery: Recovery,
+    /// Half-life of the filter in frames.
+    half_life: f64,
     /// Names of the components, with the channels that measure them, if any.
     excitation_names: Vec<(String, Option<String>)>,
     /// Last measured values. Bit-identical repetitions are not measurements.
@@ -286,6 +294,11 @@ impl Identification {
             .channels()
             .map(|channel| named(channel.name()))
             .collect::<Result<Vec<Name>, IdentifyError>>()?;
+        let recent = Recent::new(
+            structure.observation_channels().len(),
+            structure.excitation_channels().len(),
+            check.window_s() * structure.sampling_rate_hz(),
+        );
         let screening = match estimator.outliers() {
             Some(_) => {
                 let channels = structure.observation_channels().iter();
@@ -330,6 +343,9 @@ impl Identification {
                 .map(|channel| hearing_of(structure, *channel))
                 .collect(),
             reliability: Reliability::new(structure),
+            recent,
+            recovery: Recovery::default(),
+            half_life: structure.half_life_s() * structure.sampling_rate_hz(),
             last_values: vec![f64::NAN; channels],
             excitation_names: structure
                 .excitations()
@@ -553,6 +569,7 @@ impl Identification {
         self.hear_excitations(time_ns, values, outputs);
         self.mask_faulty();
         let weighed = self.weigh_excitation();
+        self.remember();
         let frame = Frame {
             observations: &self.observations,
             excitation: &self.excitation,
@@ -586,7 +603,9 @@ impl Identification {
             self.tell_classes(time_ns, outputs);
         }
         let without_faulty = self.check_sensors(time_ns, values, outputs);
-        let estimate = self.estimate(result.ok(), restarted || without_faulty);
+        let recovers = self.recover(time_ns, outputs);
+        let restarted = restarted || without_faulty || recovers;
+        let estimate = self.estimate(result.ok(), restarted);
         estimates.push(estimate);
         if let Some(stream) = &mut self.stream {
             stream.next = number + 1;
@@ -655,8 +674,24 @@ impl Identification {
 
     fn restart(&mut self, time_ns: i64, why: &str) -> Output {
         self.reset_band_limit();
+        self.settling = 0;
         let restarted = self.estimator.restart();
         self.told_restart(time_ns, restarted, why)
+    }
+
+    /// Restarts a filter that has lost the structure. Returns `true` in this case.
+    fn recover(&mut self, time_ns: i64, outputs: &mut Vec<Output>) -> bool {
+        let motion = self.motion.as_ref();
+        let is_strong = motion.is_some_and(|motion| motion.strong().is_some());
+        let judged = fit::judged(&self.estimator);
+        let must_restart = self.recovery.take(judged, is_strong, self.half_life);
+        if must_restart {
+            outputs.push(self.restart(
+                time_ns,
+                "the data have contradicted the model for long, and a parameter is at its bound or far outside its prior",
+            ));
+        }
+        must_restart
     }
 
     fn told_restart(
@@ -666,7 +701,6 @@ impl Identification {
         why: &str,
     ) -> Output {
         self.restarts += 1;
-        self.settling = 0;
         let what = match restarted {
             Ok(()) => "filter restarted from its prior".to_owned(),
             Err(refusal) => format!("filter could not be restarted: {refusal}"),
@@ -679,6 +713,21 @@ impl Identification {
     fn forget_sensors(&mut self) {
         self.check.forget_motion();
         self.spikes.forget();
+        self.recent.forget();
+    }
+
+    /// Keeps the inputs of the filter. They are of no use if the excitation is unknown.
+    fn remember(&mut self) {
+        if self.hearing.iter().any(Hearing::is_silent) {
+            self.recent.forget();
+            return;
+        }
+        self.recent.add(Inputs {
+            observations: &self.observations,
+            excitation: &self.excitation,
+            shares: self.reliability.shares(),
+            teaches: self.reliability.teaches(),
+        });
     }
 
     fn reset_band_limit(&mut self) {

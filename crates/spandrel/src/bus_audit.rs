@@ -11,6 +11,7 @@ use spandrel_service::{Audit, Refused};
 use std::cell::Cell;
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt::{self, Write as _};
+use std::sync::OnceLock;
 use std::time::Duration;
 use tokio::time::Instant;
 use tracing::field::{Field, Visit};
@@ -40,7 +41,7 @@ const CERTIFICATES: &str = "zenoh_link_quic::unicast";
 const SESSIONS: &str = "zenoh_transport::unicast::establishment::accept";
 /// Connections that Zenoh closes because the peer takes no messages.
 const BLOCKED: &str = "zenoh_transport::unicast::universal::tx";
-/// Connections that Zenoh closes because the peer sends nothing, not even a sign of life.
+/// Connections that Zenoh closes because the peer sends nothing, not even a keep-alive message.
 const EXPIRED: &str = "zenoh_transport::unicast::universal::link";
 /// Decisions on access, in a router and in an isolated process. The permitted ones are among them.
 const DECISIONS: &str = "zenoh::net::routing::interceptor::access_control";
@@ -71,32 +72,70 @@ impl Scope {
     }
 }
 
+/// Time that the end of the process waits for the thread.
+const LONGEST_END: Duration = Duration::from_secs(1);
+
+/// The thread that reads log events of Zenoh.
+static READER: OnceLock<flume::Sender<Task>> = OnceLock::new();
+
+/// What the thread does next.
+#[derive(Debug)]
+enum Task {
+    /// Reads the text of an event.
+    Read(String),
+    /// Reports everything that still waits for the name of its party, and answers.
+    Finish(flume::Sender<()>),
+}
+
+/// Reports what still waits for the name of its party. For the end of the process.
+pub fn finish() {
+    let (done, is_done) = flume::bounded(1);
+    let asked = READER
+        .get()
+        .map(|reader| reader.try_send(Task::Finish(done)));
+    if let Some(Ok(())) = asked {
+        let _ = is_done.recv_timeout(LONGEST_END);
+    }
+}
+
 /// Takes log events of Zenoh to a thread that reads them.
 #[derive(Debug)]
 pub struct BusAudit {
-    events: flume::Sender<String>,
+    events: flume::Sender<Task>,
 }
 
 impl BusAudit {
     /// Starts the thread. Returns `None` if the operating system cannot start one.
     pub fn start() -> Option<Self> {
-        let (events, waiting) = flume::bounded::<String>(EVENTS_WAITING);
+        let (events, tasks) = flume::bounded(EVENTS_WAITING);
         let read = move || {
             let mut parties = Parties::default();
             loop {
-                match waiting.recv_timeout(PASS_EVERY) {
-                    Ok(text) => parties.read(&text, Instant::now()),
+                let task = tasks.recv_timeout(PASS_EVERY);
+                let mut now = Instant::now();
+                let mut done = None;
+                match task {
+                    Ok(Task::Read(text)) => parties.read(&text, now),
+                    Ok(Task::Finish(answer)) => {
+                        now += LONGEST_WAIT;
+                        done = Some(answer);
+                    }
                     Err(flume::RecvTimeoutError::Timeout) => {}
                     Err(flume::RecvTimeoutError::Disconnected) => return,
                 }
-                for Refusal { refused, who, why } in parties.found(Instant::now()) {
+                for Refusal { refused, who, why } in parties.found(now) {
                     Audit::of_process().refuse(refused, &who, &why);
                 }
                 Audit::of_process().pass();
+                if let Some(done) = done {
+                    let _ = done.send(());
+                }
             }
         };
         let thread = std::thread::Builder::new().name("audit".to_owned());
-        thread.spawn(read).is_ok().then_some(Self { events })
+        thread.spawn(read).ok()?;
+        let _ = READER.set(events.clone());
+        Some(Self { events })
     }
 }
 
@@ -106,7 +145,7 @@ impl<S: Subscriber> Layer<S> for BusAudit {
         event.record(&mut message);
         if message.is_notable() {
             // If the queue is full, the log would be full as well.
-            let _ = self.events.try_send(message.0);
+            let _ = self.events.try_send(Task::Read(message.0));
         }
     }
 }
@@ -302,7 +341,7 @@ impl Parties {
         let address = link.rsplit(" => ").next().unwrap_or(link);
         let end = address.find(":TransportLink").unwrap_or(address.len());
         let who = address[..end].to_owned();
-        Some(closed(who, "it gave no sign of life"))
+        Some(closed(who, "it sent no keep-alive message"))
     }
 
     /// Reads `SERVER: CLIENT. NAME.`
@@ -445,6 +484,16 @@ mod tests {
         let later = now + LONGEST_WAIT;
         assert_eq!(parties.found(later), [found("ef56", "other")]);
         assert_eq!(parties.found(later), []);
+    }
+
+    #[test]
+    fn the_end_of_the_process_waits_for_no_name() {
+        let audit = BusAudit::start().unwrap();
+        let refused = "Using cached result: ab12 is unauthorized to Put (ingress) on s/house/event";
+        audit.events.send(Task::Read(refused.to_owned())).unwrap();
+        finish();
+        let counts = Audit::of_process().counts();
+        assert_eq!(counts.get(&Refused::BusRight), Some(&1));
     }
 
     #[test]

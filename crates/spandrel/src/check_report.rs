@@ -239,6 +239,8 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         | Finding::RestsOnExcitation { .. }
         | Finding::LevelAssumed { .. }
         | Finding::DampingAssumed { .. }
+        | Finding::DesignTrusted { .. }
+        | Finding::FewSensors { .. }
         | Finding::HoldMatters { .. }
         | Finding::ImplausiblePeriod { .. }
         | Finding::UnequalStoreys { .. }
@@ -301,6 +303,12 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
              it known (known = true in [damping])"
                 .to_owned(),
         ),
+        Finding::DesignTrusted { .. } => Some(
+            "learn the reference (learn-s, or a baseline), or state how far the design may be off \
+             (design-std = 0.05)"
+                .to_owned(),
+        ),
+        Finding::FewSensors { .. } => Some("measure the response at more places, or use fewer parameters".to_owned()),
         Finding::HoldMatters { delay_s, .. } if *delay_s > 0.0 => Some(
             "omit input-hold unless the excitation is constant between samples, as in a \
              simulation; or sample faster"

@@ -55,6 +55,7 @@ fn main() -> ExitCode {
         warn!(%error, "cannot start Zenoh with more threads; suspended subscribers delay all others");
     }
     let ended = commands::run(arguments.command);
+    bus_audit::finish();
     Audit::of_process().finish();
     match ended {
         Ok(()) => ExitCode::SUCCESS,

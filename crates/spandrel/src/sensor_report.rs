@@ -14,6 +14,12 @@ const GRAVITY: f64 = 9.806_65;
 /// Largest ratio of a factor to the factor between two units that suggests a wrong unit.
 const NEAR_UNIT: f64 = 1.3;
 
+/// Largest difference of the delays of sound sensors, in fundamental periods.
+///
+/// Each sensor is compared with the mean of the others. If half of them is late, no single one
+/// stands out.
+const APART: f64 = 0.1;
+
 /// What recordings or live data show of each sensor.
 #[derive(Debug)]
 pub struct SensorPage {
@@ -24,6 +30,8 @@ pub struct SensorPage {
     required_s: Option<f64>,
     /// Whether the data of an unchecked channel were long enough.
     lacks_motion: bool,
+    /// Difference of the delays of sound sensors (s) if it is large.
+    apart_s: Option<f64>,
 }
 
 impl SensorPage {
@@ -57,6 +65,7 @@ impl SensorPage {
             structure: structure.name().to_owned(),
             required_s: required.iter().copied().flatten().reduce(f64::max),
             lacks_motion: required.contains(&None),
+            apart_s: apart_s(check, APART * structure.fundamental_period_s()),
             channels: names.zip(check.health().iter().copied()).collect(),
         }
     }
@@ -77,7 +86,12 @@ impl SensorPage {
             }),
         };
         let sensors: Vec<_> = self.channels.iter().map(sensor).collect();
-        json!({ "structure": self.structure, "sensors": sensors }).to_string() + "\n"
+        let page = json!({
+            "structure": self.structure,
+            "sensors": sensors,
+            "delays_apart_s": self.apart_s,
+        });
+        page.to_string() + "\n"
     }
 }
 
@@ -116,6 +130,14 @@ impl fmt::Display for SensorPage {
         for (name, fault) in faults {
             writeln!(f, "{name} {}: {}", fault.words(), advice(fault))?;
         }
+        if let Some(apart_s) = self.apart_s {
+            writeln!(
+                f,
+                "the delays of sound sensors differ by {:.0} ms: sensors of different loggers may \
+                 have different clocks or filters",
+                1e3 * apart_s
+            )?;
+        }
         if let Some(required_s) = self.required_s {
             writeln!(
                 f,
@@ -132,6 +154,16 @@ impl fmt::Display for SensorPage {
         }
         Ok(())
     }
+}
+
+/// Returns the largest difference of the delays of sound sensors (s). `None` up to `limit_s`.
+fn apart_s(check: &SensorCheck, limit_s: f64) -> Option<f64> {
+    let sound = check.health().iter().flatten();
+    let sound = sound.filter(|health| health.soundness == Soundness::Sound);
+    let delays: Vec<f64> = sound.filter_map(|health| health.delay_s).collect();
+    let latest = delays.iter().copied().reduce(f64::max)?;
+    let earliest = delays.iter().copied().reduce(f64::min)?;
+    Some(latest - earliest).filter(|apart_s| *apart_s > limit_s)
 }
 
 /// Returns the word for people.
@@ -175,19 +207,26 @@ mod tests {
     }
 
     fn page_of(length_s: usize, scale: f64) -> SensorPage {
+        page_with_delay(length_s, scale, 0)
+    }
+
+    /// The second and the third floor are late by a number of frames.
+    fn page_with_delay(length_s: usize, scale: f64, late: usize) -> SensorPage {
         let structure = Structure::parse(TABLE, Path::new("table.toml")).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("record.csv");
         let mut text = "time_s,ground_mps2,floor1_mps2,floor2_mps2,floor3_mps2\n".to_owned();
-        for (number, frame) in structure.simulator(3).take(length_s * 120).enumerate() {
-            let values = &frame.values;
+        let frames = structure.simulator(3).take(length_s * 120);
+        let frames: Vec<Vec<f64>> = frames.map(|frame| frame.values.clone()).collect();
+        for (number, values) in frames.iter().enumerate() {
+            let before = &frames[number.saturating_sub(late)];
             let time_s = number as f64 / 120.0;
             text += &format!(
                 "{time_s:.6},{},{},{},{}\n",
                 values[0],
                 values[1],
-                scale * values[2],
-                values[3]
+                scale * before[2],
+                before[3]
             );
         }
         std::fs::write(&path, text).unwrap();
@@ -199,6 +238,19 @@ mod tests {
         let text = page(1.0).to_string();
         assert_eq!(text.matches(" sound ").count(), 4, "{text}");
         assert_eq!(text.lines().count(), 6, "{text}");
+    }
+
+    #[test]
+    fn two_loggers_with_different_clocks_are_noticed_although_each_sensor_is_sound() {
+        let page = page_with_delay(60, 1.0, 5);
+        let text = page.to_string();
+        assert_eq!(text.matches(" sound ").count(), 4, "{text}");
+        assert!(text.contains("differ by 4"), "{text}");
+        let json: serde_json::Value = serde_json::from_str(&page.json()).unwrap();
+        assert!(
+            (json["delays_apart_s"].as_f64().unwrap() - 5.0 / 120.0).abs() < 0.01,
+            "{json}"
+        );
     }
 
     #[test]

@@ -470,7 +470,11 @@ impl Collector {
             .zip(noise.values())
             .filter_map(|(stated, found)| stated.warning(found));
         let fit = self.fit.finish();
-        let warnings = warnings.chain(fit.as_ref().and_then(FitSummary::warning));
+        let unmeasured = || "the fit was not measured: alerts are decided without a verdict on it";
+        let unmeasured = (fit.is_none() && !self.decided.is_empty()).then(unmeasured);
+        let warnings = warnings
+            .chain(fit.as_ref().and_then(FitSummary::warning))
+            .chain(unmeasured.map(str::to_owned));
         let undecided = self.undecided_warnings();
         let ends_undecided = !undecided.is_empty();
         let warnings = warnings.chain(undecided).collect();

@@ -215,6 +215,12 @@ impl Structure {
         self.sampling_rate_hz
     }
 
+    /// Returns the half-life of the filter's memory (s).
+    #[must_use]
+    pub fn half_life_s(&self) -> f64 {
+        self.plan.half_life_s
+    }
+
     /// Returns `Δt` (s), the time between two frames.
     #[must_use]
     pub fn step_s(&self) -> f64 {

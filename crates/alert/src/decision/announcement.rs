@@ -40,6 +40,22 @@ impl Decision {
         }
     }
 
+    /// Announces an undecided state again if its estimate has changed by more than its standard
+    /// deviation, or is twice or half as certain.
+    pub(super) fn revise_undecided(&mut self, alerts: &mut Vec<Alert>) {
+        let (Some(last), Some((now, _))) = (&self.last_alert, &self.last) else {
+            return;
+        };
+        let told = &last.estimate;
+        let is_due = now.time_ns.saturating_sub(told.time_ns) >= REVISED_EVERY_NS;
+        let has_moved = (now.mean - told.mean).abs() > now.std.max(told.std)
+            || now.std > 2.0 * told.std
+            || told.std > 2.0 * now.std;
+        if last.state == AlertState::Undecided && is_due && has_moved {
+            self.announce(alerts);
+        }
+    }
+
     /// Announces softening again when the strong motion has ended, because its amplitude is now known.
     pub(super) fn revise_softening(&mut self, has_calmed: bool, alerts: &mut Vec<Alert>) {
         let last = self.last_alert.as_ref();
@@ -74,7 +90,7 @@ impl Decision {
             fit: flags.fit,
             fit_reasons: flags.fit_reasons,
             follows_jump: flags.follows_jump,
-            undecided_because: self.support.undecided_because(),
+            undecided_because: self.undecided_because(),
             revision: 0,
         };
         alert.revision = self
@@ -86,6 +102,7 @@ impl Decision {
         let shaking = limit.and_then(|(limit, reference)| self.motion.shaking(&reference, limit));
         let before = Before {
             alert: self.last_alert.as_ref(),
+            now: self.last.map_or(estimate, |(now, _)| now),
             shaking: shaking.as_ref(),
             modes: self.contradicting_modes.as_deref(),
         };
@@ -99,8 +116,7 @@ impl Decision {
     /// announced estimate, with the present time.
     fn announced_estimate(&self, state: AlertState) -> Option<(ParameterEstimate, EstimateFlags)> {
         let (estimate, flags) = self.last?;
-        let is_unsupported =
-            state == AlertState::Unconfirmed && self.support.undecided_because().is_some();
+        let is_unsupported = state == AlertState::Unconfirmed && self.undecided_because().is_some();
         let told = self
             .last_alert
             .as_ref()

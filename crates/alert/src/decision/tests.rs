@@ -346,13 +346,14 @@ fn restart_while_learning_restarts_the_reference() {
 fn learning_continues_while_the_reference_is_too_uncertain() {
     let mut drive = Drive::new(rule().with_learnt_reference(10.0).unwrap());
     drive.estimates(0..20, 0.9, 0.5);
-    assert_eq!(drive.states(), [(Learns, 0)]);
+    assert_eq!(drive.states(), [(Learns, 0), (Undecided, 10)]);
     drive.estimates(20..30, 0.9, 0.01);
-    // Against 0.9 ± 0.05 no estimate shows a loss of 10 %, but 0.9 excludes it: Φ((0.9 −
-    // 0.81)/√(0.01² + 0.045²)) = 0.975.
-    assert_eq!(drive.states()[1..], [(Normal, 20)]);
-    drive.estimates(30..40, 0.85, 0.01); // Φ(0.04/0.046) = 0.81
-    assert_eq!(drive.states()[2..], [(Undecided, 31)]);
+    // The second span has ten uncertain estimates and a certain one: √(11/(10/0.5² + 1/0.01²)) =
+    // 0.033. Against 0.9 ± 0.033 no estimate shows a loss of 10 %, but 0.9 excludes it: Φ((0.9 −
+    // 0.81)/√(0.01² + (0.9·0.033)²)) = 0.998.
+    assert_eq!(drive.states()[2..], [(Normal, 20)]);
+    drive.estimates(30..40, 0.85, 0.01); // Φ(0.04/0.031) = 0.90
+    assert_eq!(drive.states()[3..], [(Undecided, 31)]);
 }
 
 #[test]

@@ -437,7 +437,8 @@ fn sensor_in_doubt_that_disappears_is_unchecked() {
 
 /// Returns the changes of the stiff frame's check with two series of the same frames.
 fn screened(measured: &[Vec<f64>], without_spikes: &[Vec<f64>]) -> Vec<(f64, Change)> {
-    let mut check = SensorCheck::new(&table(&[]));
+    let structure = table(&[("[[excitation]]", "[outliers]\n\n[[excitation]]")]);
+    let mut check = SensorCheck::new(&structure);
     let frames = measured.iter().zip(without_spikes).enumerate();
     let changes = frames.flat_map(|(number, (measured, without_spikes))| {
         let changes = check.take_screened(measured, without_spikes);
@@ -512,5 +513,19 @@ fn factor_of_the_ground_is_named_and_not_taken_for_another_stiffness() {
         };
         assert_eq!(health.soundness, Soundness::Faulty, "{factor}: {health:?}");
         assert!((found / factor - 1.0).abs() < 0.06, "{factor}: {found}");
+    }
+}
+
+/// Regression: the last sample stood for missing ones, and a gap of all sensors put them in doubt.
+#[test]
+fn gap_of_all_sensors_puts_none_in_doubt() {
+    for gap in [4, 60, 170] {
+        let mut frames = frames_of(&table(&[]), 100.0);
+        for values in frames.iter_mut().skip(120 * 40).take(gap) {
+            values.fill(f64::NAN);
+        }
+        let (check, changes) = checked(&frames);
+        assert_eq!(suspected(&changes), [], "{gap}: {changes:?}");
+        assert_eq!(check.health()[FLOOR_2].unwrap().soundness, Soundness::Sound);
     }
 }

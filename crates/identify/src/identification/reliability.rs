@@ -251,6 +251,16 @@ impl Reliability {
         }
     }
 
+    /// Returns the reliability of each component of the excitation.
+    pub(super) fn shares(&self) -> &[f64] {
+        &self.shares
+    }
+
+    /// Returns `true` if the present motion teaches the parameters.
+    pub(super) fn teaches(&self) -> bool {
+        self.teaches
+    }
+
     /// Returns the state for a checkpoint.
     pub(super) fn state(&self) -> &ReliabilityState {
         &self.state

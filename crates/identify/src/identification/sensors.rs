@@ -8,7 +8,7 @@ use spandrel_bus::{
     ChannelHealthDisplay, EventKind, Excluded, FaultKind, Name, SensorHealthDisplay,
 };
 use spandrel_faults::{Change, ChannelHealth, Fault, SensorCheck, SensorReference, Soundness};
-use spandrel_filter::Verdict;
+use spandrel_filter::{FilterError, Frame, Verdict};
 use spandrel_structure::Structure;
 use std::ops::Range;
 
@@ -40,22 +40,52 @@ impl Identification {
         for change in changes {
             outputs.extend(self.tell_sensor(time_ns, change));
         }
-        let released = self.settling == 1 && !restarts;
-        self.settling = self.settling.saturating_sub(1);
-        if released {
-            return self.estimator.set_parameter_std(1.0).is_ok();
-        }
         if restarts {
-            let restarted = self.estimator.restart();
-            let held = restarted.and_then(|()| self.estimator.set_parameter_std(HELD));
+            let restarted = self.restart_without_faulty();
             outputs.push(self.told_restart(
                 time_ns,
-                held,
+                restarted,
                 "the estimates so far contain the samples of a faulty sensor",
             ));
-            self.settling = (self.check.window_s() * self.rate_hz()) as u64;
+            return true;
         }
-        restarts
+        self.settle().unwrap_or(false)
+    }
+
+    /// Restarts the filter, and repeats the recent frames without the samples of faulty sensors.
+    pub(super) fn restart_without_faulty(&mut self) -> Result<(), FilterError> {
+        self.restart_held()?;
+        let recent = self.recent.clone();
+        let repeated = recent.repeat(|inputs| {
+            self.observations.copy_from_slice(inputs.observations);
+            self.mask_faulty();
+            self.estimator.set_teaching(inputs.teaches);
+            self.estimator.set_reliability(inputs.shares)?;
+            self.estimator.step(Frame {
+                observations: &self.observations,
+                excitation: inputs.excitation,
+            })?;
+            self.settle().map(drop)
+        });
+        repeated.or_else(|_| self.restart_held())
+    }
+
+    /// Restarts the filter from its prior, and holds the parameters until the motion has settled.
+    fn restart_held(&mut self) -> Result<(), FilterError> {
+        self.settling = (self.check.window_s() * self.rate_hz()) as u64;
+        self.estimator.restart()?;
+        self.estimator.set_parameter_std(HELD)
+    }
+
+    /// Counts a frame after a restart without a faulty sensor. Returns `true` if the parameters are
+    /// identified again from now on.
+    fn settle(&mut self) -> Result<bool, FilterError> {
+        let ends = self.settling == 1;
+        self.settling = self.settling.saturating_sub(1);
+        if ends {
+            self.estimator.set_parameter_std(1.0)?;
+        }
+        Ok(ends)
     }
 
     /// Returns `false` if the screening already rejects all samples of the channel as those of a

@@ -2,6 +2,7 @@
 
 use super::hearing::Hearing;
 use super::motion::{Motion, MotionState};
+use super::recovery::Recovery;
 use super::reliability::ReliabilityState;
 use super::spikes::Spikes;
 use super::{Identification, Stream};
@@ -33,12 +34,14 @@ pub struct IdentificationState {
     settling: u64,
     reliability: ReliabilityState,
     motion: Option<MotionState>,
+    recent: Vec<f32>,
+    recovery: Recovery,
 }
 
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 10;
+    pub const VERSION: u16 = 11;
 }
 
 impl Identification {
@@ -64,6 +67,8 @@ impl Identification {
             settling: self.settling,
             reliability: self.reliability.state().clone(),
             motion: self.motion.as_ref().map(Motion::state),
+            recent: self.recent.state(),
+            recovery: self.recovery,
         }
     }
 
@@ -118,6 +123,13 @@ impl Identification {
                 expected: 1,
             });
         }
+        if !self.recent.restore(state.recent) {
+            return Err(FilterError::Dimension {
+                what: "recent frames of a checkpoint (0: of other channels, 1: of the structure file)",
+                found: 0,
+                expected: 1,
+            });
+        }
         self.reliability.restore(state.reliability)?;
         self.estimator.restore(state.estimator)?;
         self.band_limit = state.band_limit;
@@ -136,6 +148,7 @@ impl Identification {
         self.since_clipped = state.since_clipped;
         self.spikes = state.spikes;
         self.settling = state.settling;
+        self.recovery = state.recovery;
         if let Some((motion, state)) = self.motion.as_mut().zip(state.motion) {
             motion.restore(state);
         }

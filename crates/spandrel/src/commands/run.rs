@@ -17,15 +17,20 @@ use spandrel_dashboard::PageSettings;
 use spandrel_feed::{FeedConfig, FeedError, WhenEnded};
 use spandrel_history::Address;
 use spandrel_identify::Precedence;
-use spandrel_structure::Structure;
+use spandrel_structure::{Severity, Structure};
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
 
-/// Lease of a process that may lead (s). After this time without a sign of life, others consider it
+/// Lease of a process that may lead (s). After this time without a message, others consider it
 /// failed.
 ///
 /// A takeover must complete within 3 s. The remaining time is for the takeover itself.
 const STANDBY_LEASE_S: f64 = 2.0;
+
+/// Simulated time of the check of a structure file at the start (s).
+const CHECKED_S: f64 = 60.0;
+/// Maximum memory of such a check (bytes).
+const MOST_CHECKED_BYTES: usize = 10_000_000;
 
 /// The services that a process runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -435,6 +440,9 @@ pub fn run(
                 }
             };
             info!(structures = plan.watched.len(), "ready");
+            if services.has(Service::Identify) {
+                log_findings(&plan.watched);
+            }
             tell_systemd(NotifyState::Ready);
             let pool = running.pool();
             let ended = tokio::select! {
@@ -465,6 +473,32 @@ pub fn run(
         bus.close().await?;
         ended
     })
+}
+
+/// Logs the warnings of a check of the structure files, because the estimates depend on them.
+///
+/// A thread of its own checks the files. It leaves large ones to `spandrel check`, which takes
+/// minutes for them.
+fn log_findings(watched: &[Watched]) {
+    let structures = watched.iter().map(|watched| &watched.structure);
+    let is_small = |structure: &&Structure| structure.check_bytes() <= MOST_CHECKED_BYTES;
+    let checked = structures.filter(|structure| structure.is_filtered());
+    let checked: Vec<Structure> = checked.filter(is_small).cloned().collect();
+    let check = move || {
+        for structure in checked {
+            let findings = structure.check(CHECKED_S, 0).findings;
+            let warnings = findings
+                .iter()
+                .filter(|one| one.severity() == Severity::Warning);
+            for finding in warnings {
+                warn!(structure = structure.name(), "structure file: {finding}");
+            }
+        }
+    };
+    let thread = std::thread::Builder::new().name("check".to_owned());
+    if let Err(error) = thread.spawn(check) {
+        warn!(%error, "cannot check the structure files");
+    }
 }
 
 /// Reason why the services were stopped.

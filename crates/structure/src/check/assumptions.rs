@@ -3,6 +3,7 @@
 //! These are unmeasured levels, excitation colours and damping, and facts that no check can verify.
 
 use super::finding::{Finding, Shift};
+use crate::alert_rule::{AlertRule, Reference};
 use crate::parameter::Scales;
 use crate::structure::Structure;
 use serde::Serialize;
@@ -10,6 +11,10 @@ use std::fmt;
 
 /// Factor by which a stated level or damping may be wrong, in either direction.
 const WRONG_BY: f64 = 2.0;
+
+/// Least standard deviation to which a design can be known (ratio to nominal). Masses alone are not
+/// known better.
+const KNOWN_DESIGN: f64 = 0.01;
 
 /// A fact that a check cannot verify. The results of the check hold only if the file is right about
 /// it.
@@ -111,7 +116,35 @@ impl Structure {
                 shifts,
             }));
         }
+        findings.extend(self.trusted_design());
+        let parameters = self.parameters.iter();
+        let stiffnesses = parameters.filter(|one| one.is_stiffness());
+        let (channels, parameters) = (self.observation_channels().len(), stiffnesses.count());
+        if 2 * channels < parameters {
+            findings.push(Finding::FewSensors {
+                channels,
+                parameters,
+            });
+        }
         findings
+    }
+
+    /// Returns the alert rule that trusts the design most, if it trusts it too much.
+    fn trusted_design(&self) -> Option<Finding> {
+        let of_rule = |rule: &AlertRule| match &rule.reference {
+            Reference::Given { mean, std } if mean.iter().all(|mean| *mean == 1.0) => {
+                std.iter().copied().reduce(f64::min)
+            }
+            Reference::Given { .. } | Reference::Baseline { .. } => None,
+        };
+        let least = self
+            .alert_rules()
+            .iter()
+            .filter_map(of_rule)
+            .reduce(f64::min);
+        least
+            .filter(|std| *std < KNOWN_DESIGN)
+            .map(|std| Finding::DesignTrusted { std })
     }
 
     /// Returns the shift of each parameter if the true value is the stated value divided by, or

@@ -145,6 +145,18 @@ pub enum Finding {
         /// Effect of such an error on each parameter.
         shifts: Vec<Shift>,
     },
+    /// An alert rule compares with the design and trusts it more than a design can be known.
+    DesignTrusted {
+        /// Stated standard deviation of the design (ratio to nominal).
+        std: f64,
+    },
+    /// Few sensors measure the response of many parts.
+    FewSensors {
+        /// Number of channels that measure the response.
+        channels: usize,
+        /// Number of parameters that scale stiffness.
+        parameters: usize,
+    },
     /// The hold of a measured excitation between frames changes the input of the model.
     HoldMatters {
         /// Upper end of the recorded band (Hz).
@@ -243,6 +255,7 @@ impl Finding {
             | Self::RestsOnExcitation { .. }
             | Self::LevelAssumed { .. }
             | Self::DampingAssumed { .. }
+            | Self::DesignTrusted { .. }
             | Self::HoldMatters { .. }
             | Self::ImplausiblePeriod { .. }
             | Self::UnequalStoreys { .. }
@@ -252,6 +265,7 @@ impl Finding {
             | Self::ParticlesTooFew { .. }
             | Self::HastyLevel { .. } => Severity::Warning,
             Self::LevelConfounded { adapted: false, .. }
+            | Self::FewSensors { .. }
             | Self::LightFloors { .. }
             | Self::BandLimited { .. }
             | Self::AliasedModes { .. }
@@ -380,6 +394,25 @@ impl fmt::Display for Finding {
                 )?;
                 write_shifts(f, shifts)
             }
+            Self::DesignTrusted { std } => write!(
+                f,
+                "an alert rule compares with the design and trusts it to {} %; masses and \
+                 stiffnesses of a design are rarely known to 5 %, and a larger error raises alerts \
+                 on undamaged parts",
+                100.0 * std
+            ),
+            Self::FewSensors {
+                channels,
+                parameters,
+            } => write!(
+                f,
+                "{channels} {} for {parameters} stiffness parameters: after a large sudden loss, \
+                 the filter can attribute it to the wrong part",
+                match channels {
+                    1 => "channel measures the response",
+                    _ => "channels measure the response",
+                }
+            ),
             Self::HoldMatters {
                 frequency_hz,
                 loss,

@@ -209,6 +209,47 @@ fn fixed_damping_gives_a_warning_unless_declared_known() {
     );
 }
 
+#[test]
+fn design_that_is_trusted_too_much_gives_a_warning() {
+    let found = |std: &str| {
+        let rule = format!(
+            "\n[[alert]]\nparameters = \"all\"\nloss = 0.1\ncredibility = 0.99\nsustain-s = 5\n\
+             reference = {{ design-std = {std} }}\n"
+        );
+        let findings = parse(&format!("{DEMO}{rule}")).check(2.0, 1).findings;
+        findings
+            .into_iter()
+            .find(|finding| matches!(finding, Finding::DesignTrusted { .. }))
+    };
+    assert_eq!(found("0.05"), None);
+    let finding = found("0.001").unwrap();
+    assert_eq!(finding.severity(), Severity::Warning);
+    assert!(finding.to_string().contains("to 0.1 %"), "{finding}");
+}
+
+#[test]
+fn few_sensors_for_many_parts_are_a_note() {
+    let found = |text: &str| {
+        let findings = parse(text).check(2.0, 1).findings;
+        let is_few = |finding: &Finding| matches!(finding, Finding::FewSensors { .. });
+        findings.into_iter().find(is_few)
+    };
+    assert_eq!(found(DEMO), None);
+    let mut nodes = DEMO.split("[[node]]");
+    let without: String = [nodes.next(), nodes.next(), nodes.next_back()]
+        .into_iter()
+        .flatten()
+        .collect::<Vec<_>>()
+        .join("[[node]]");
+    let finding = found(&without).unwrap();
+    assert_eq!(finding.severity(), Severity::Note);
+    let text = finding.to_string();
+    assert!(
+        text.starts_with("1 channel measures the response for 5"),
+        "{text}"
+    );
+}
+
 /// A held measured record is late by half a step, regardless of the simulated hold.
 #[test]
 fn hold_that_affects_the_band_gives_a_warning() {

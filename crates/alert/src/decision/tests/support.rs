@@ -288,7 +288,8 @@ fn reference_is_not_learnt_from_undecided_frames() {
         drive.states(),
         [(Learns, 0), (Undecided, 31), (Learns, 71), (Normal, 101)]
     );
-    assert!((drive.alerts[3].reference.unwrap().mean() - 0.9).abs() < 1e-12);
+    let last = drive.alerts.last().unwrap();
+    assert!((last.reference.unwrap().mean() - 0.9).abs() < 1e-12);
 }
 
 #[test]
@@ -466,4 +467,44 @@ fn undecided_state_restored_at_any_second_gives_the_same_alerts() {
     for second in 0..60 {
         assert_eq!(run(Some(second)), whole, "restored at {second} s");
     }
+}
+
+/// Regression: a record that began at rest gave a reference that hid every later loss.
+#[test]
+fn reference_of_uncertain_estimates_is_learnt_again() {
+    let mut drive = Drive::new(rule().with_learnt_reference(20.0).unwrap());
+    drive
+        .estimates(0..50, 0.98, 0.2)
+        .estimates(50..100, SOUND, SURE)
+        .estimates(100..130, SOFT, SURE);
+    // The span until 60 s contains 10 s of certain estimates, which outweigh the others.
+    assert_eq!(
+        drive.states(),
+        [
+            (Learns, 0),
+            (Undecided, 20),
+            (Normal, 60),
+            (Pending, 100),
+            (Raised, 110)
+        ]
+    );
+    assert_eq!(drive.revisions(Undecided), [(1, 50)]);
+    assert_eq!(
+        drive.alerts[1].why,
+        "no decision on storey-2: a span of 20 s was too uncertain for a reference, so that it is \
+         learnt again (estimate 0.980 ± 0.200)"
+    );
+    let undecided: Vec<_> = drive.decision.decided_frames().undecided().collect();
+    assert_eq!(undecided, [(UndecidedBecause::NothingLearnt, 41)]);
+}
+
+#[test]
+fn reason_of_an_unconfirmed_alert_states_the_present_estimate() {
+    let mut drive = Drive::new(rule());
+    drive
+        .estimates(0..11, SOFT, SURE)
+        .estimates(11..20, 0.9, 0.25);
+    let last = drive.alerts.last().unwrap();
+    assert_eq!((last.state, last.estimate.mean), (Unconfirmed, SOFT));
+    assert!(last.why.contains("(estimate 0.900 ± 0.250"), "{}", last.why);
 }
