@@ -302,6 +302,7 @@ impl Feed {
                 Ok(samples) => state.instrument.accepted(samples, at),
                 Err(why) => errors.push(why),
             }
+            errors.append(&mut given.faults);
             append(channel.node, given, out);
         }
         if !is_mapped && let Some(state) = self.sources.get_mut(source) {
@@ -402,11 +403,21 @@ impl Delivery<'_> {
             .iter()
             .map(|number| plan.calibration.si_from_number(*number, timed.start_ns))
             .collect();
-        let Some(values) = values else {
+        let Some(mut values) = values else {
             return Err(format!(
                 "{label}: the StationXML file has no sensitivity for the time of these samples"
             ));
         };
+        let mut has_infinite = false;
+        for value in values.iter_mut().filter(|value| value.is_infinite()) {
+            *value = f64::NAN;
+            has_infinite = true;
+        }
+        if has_infinite {
+            out.faults.push(format!(
+                "{label}: a sample is infinite, must be a finite number; it counts as missing"
+            ));
+        }
         channel
             .seen
             .add(&values, self.at.wall_ns.saturating_sub(last_ns));

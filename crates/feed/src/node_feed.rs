@@ -15,6 +15,11 @@ use crate::source_plan::NodePlan;
 const BACK_S: f64 = 2.0;
 /// Wall-clock time that these samples must take, ns. A repetition of stored samples arrives faster.
 const BACK_ELAPSED_NS: i64 = 1_000_000_000;
+/// Measurement time that may pass in addition to the wall-clock time between two packets of a
+/// channel, ns. A packet that is further ahead is confirmed by the next one, or dropped.
+const AHEAD_NS: i64 = 2_000_000_000;
+/// Minimum wall-clock time that a packet ahead waits for the next one, ns.
+const AHEAD_WAIT_NS: i64 = 10_000_000_000;
 /// Maximum number of packets kept until it is clear whether the clock was set back.
 const MAX_BEHIND: usize = 4096;
 
@@ -52,6 +57,8 @@ pub(crate) struct NodeOutput {
     pub(crate) blocks: Vec<SampleBlock>,
     pub(crate) lost: Vec<GapReport>,
     pub(crate) set_back: Option<SetBack>,
+    /// Faults of the source.
+    pub(crate) faults: Vec<String>,
 }
 
 /// One node.
@@ -59,6 +66,7 @@ pub(crate) struct NodeOutput {
 pub(crate) struct NodeFeed {
     index: usize,
     rate_hz: f64,
+    wait_ns: i64,
     rows: NodeRows,
     blocks: Blocks,
     lanes: Vec<Lane>,
@@ -75,6 +83,11 @@ struct Lane {
     has_begun: bool,
     /// Quality of the time that its source has stated last, per cent.
     clock_quality: Option<u8>,
+    /// Monotonic arrival time of the last packet that was placed, ns.
+    placed_ns: i64,
+    /// A packet whose time is far ahead, with its arrival, until it is clear whether its time is
+    /// right.
+    ahead: Option<(Series, Arrival)>,
     behind: Vec<Series>,
     /// Monotonic arrival time of the first packet behind.
     behind_since_ns: i64,
@@ -102,6 +115,7 @@ impl NodeFeed {
         Self {
             index,
             rate_hz: plan.rate_hz,
+            wait_ns,
             rows: NodeRows::new(plan.rate_hz, wait_ns, &is_fed),
             blocks: Blocks::new(&plan.name, channels, plan.rate_hz, epoch),
             lanes: lanes.collect(),
@@ -157,9 +171,72 @@ impl NodeFeed {
         let Some(series) = self.without_recorded(lane, series, arrival) else {
             return;
         };
+        self.confirm(lane, &series, arrival, out);
+        if self.is_ahead(lane, series.start_ns, arrival) {
+            if let Some(state) = self.lanes.get_mut(lane) {
+                state.ahead = Some((series, arrival));
+            }
+            return;
+        }
+        self.take_timed(lane, series, arrival, out);
+    }
+
+    /// Adds the samples of a channel at their times.
+    fn take_timed(&mut self, lane: usize, series: Series, arrival: Arrival, out: &mut NodeOutput) {
         self.note_pause(lane, &series, arrival, out);
         if !self.place(lane, &series, arrival, out) {
             self.hold(lane, series, arrival, out);
+        }
+    }
+
+    /// Returns `true` if a packet is further ahead of the previous one of its channel than the
+    /// wall-clock time between them.
+    fn is_ahead(&self, lane: usize, start_ns: i64, arrival: Arrival) -> bool {
+        let (Some(expected_ns), Some(state)) = (self.rows.next_ns(lane), self.lanes.get(lane))
+        else {
+            return false;
+        };
+        let elapsed_ns = arrival.at.elapsed_ns.saturating_sub(state.placed_ns);
+        let limit_ns = elapsed_ns
+            .saturating_add(AHEAD_NS)
+            .max(arrival.tolerance_ns);
+        start_ns.saturating_sub(expected_ns) > limit_ns
+    }
+
+    /// Decides on the packet ahead by the next one: it is right if the next one follows it.
+    fn confirm(&mut self, lane: usize, next: &Series, arrival: Arrival, out: &mut NodeOutput) {
+        let Some(state) = self.lanes.get_mut(lane) else {
+            return;
+        };
+        let Some((ahead, arrived)) = state.ahead.take() else {
+            return;
+        };
+        let end_ns = self.rows.time_after(ahead.start_ns, ahead.values.len());
+        let since_ns = next.start_ns.saturating_sub(end_ns);
+        let elapsed_ns = arrival.at.elapsed_ns.saturating_sub(arrived.at.elapsed_ns);
+        if since_ns >= -arrival.tolerance_ns && since_ns <= elapsed_ns.saturating_add(AHEAD_NS) {
+            return self.take_timed(lane, ahead, arrived, out);
+        }
+        let samples = ahead.values.len();
+        let by_ns = ahead.start_ns.saturating_sub(next.start_ns);
+        out.faults.push(format!(
+            "{}: the time of a packet is {:.3} s after that of the next one; its {samples} \
+             samples are dropped",
+            state.channel,
+            by_ns as f64 / 1e9
+        ));
+        self.count("stray-samples", samples as u64);
+    }
+
+    /// Takes the packets ahead that have waited long enough for the next one, or all of them.
+    fn take_ahead(&mut self, before_ns: i64, out: &mut NodeOutput) {
+        for lane in 0..self.lanes.len() {
+            let is_due = |ahead: &mut (Series, Arrival)| ahead.1.at.elapsed_ns <= before_ns;
+            let state = self.lanes.get_mut(lane);
+            let due = state.and_then(|state| state.ahead.take_if(is_due));
+            if let Some((series, arrival)) = due {
+                self.take_timed(lane, series, arrival, out);
+            }
         }
     }
 
@@ -241,6 +318,9 @@ impl NodeFeed {
         let Placement::At { row, missing, skip } = placement else {
             return false;
         };
+        if let Some(state) = self.lanes.get_mut(lane) {
+            state.placed_ns = arrival.at.elapsed_ns;
+        }
         self.drop_behind(lane);
         self.count("repeated-samples", skip as u64);
         if missing > 0 {
@@ -367,6 +447,8 @@ impl NodeFeed {
 
     /// Lets time pass: returns rows, the open block and reports that are due.
     pub(crate) fn tick(&mut self, at: Moment, out: &mut NodeOutput) {
+        let wait_ns = AHEAD_WAIT_NS.max(self.wait_ns.saturating_mul(2));
+        self.take_ahead(at.elapsed_ns.saturating_sub(wait_ns), out);
         self.release(at, out);
         self.blocks.flush(&mut out.blocks);
         for lane in &mut self.lanes {
@@ -376,6 +458,7 @@ impl NodeFeed {
 
     /// Returns everything that waits.
     pub(crate) fn stop(&mut self, out: &mut NodeOutput) {
+        self.take_ahead(i64::MAX, out);
         self.end_rows(out);
         for lane in &mut self.lanes {
             out.lost.extend(lane.gaps.end());

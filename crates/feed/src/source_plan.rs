@@ -218,6 +218,10 @@ impl GrowingFile {
         let path = self.path.display();
         match self.is_pattern() {
             true => format!("no file matches {path}"),
+            false if self.path.exists() => format!(
+                "{path} is not a file; kind = \"stdin\" reads a serial port, and kind = \"folder\" a \
+                 folder"
+            ),
             false => format!("{path} does not exist"),
         }
     }

@@ -382,3 +382,77 @@ fn conditions_beside_channels_are_returned_once_and_wrong_ones_are_errors() {
     assert_eq!(feed.drops(0)["repeated-conditions"], 2);
     assert!(feed.seen(0).unwrap().1.is_empty(), "it is mapped");
 }
+
+/// Sends the packets of both channels as they are measured, at the time of their last sample.
+fn send_both(feed: &mut Feed, numbers: std::ops::Range<i64>) -> Vec<Output> {
+    let mut out = Vec::new();
+    for number in numbers {
+        let arrived = at((number + 1) * 25 * STEP);
+        let both = ["EHZ", "ENZ"].map(|label| packet(label, number));
+        out.extend(send(feed, &both, arrived));
+    }
+    out
+}
+
+fn errors(out: &[Output]) -> Vec<&str> {
+    out.iter()
+        .filter_map(|output| match output {
+            Output::Error { why, .. } => Some(why.as_str()),
+            _ => None,
+        })
+        .collect()
+}
+
+// The samples of the next 2 s were late, and 31,500,000,000 samples counted as lost.
+#[test]
+fn single_packet_from_the_future_is_dropped_and_costs_no_other_sample() {
+    let mut feed = feed();
+    send_both(&mut feed, 0..4);
+    let mut stray = packet("EHZ", 4);
+    stray.start_ns = Some(T0 + 315_000_000 * SECOND);
+    let mut out = send(&mut feed, &[stray, packet("ENZ", 4)], at(5 * 25 * STEP));
+    out.extend(send_both(&mut feed, 5..9));
+    let why = "roof-0: the time of a packet is 314999998.750 s after that of the next one; its 25 \
+               samples are dropped";
+    assert_eq!(errors(&out), [why]);
+    let missing = [("stray-samples", 25), ("undelivered-samples", 25)];
+    let counts = missing.map(|(reason, count)| (reason.to_owned(), count));
+    assert_eq!(feed.drops(0), counts.into());
+    feed.handle(Input::Stop, at(9 * 25 * STEP), &mut out);
+    let last = blocks(&out).last().copied().unwrap();
+    assert_eq!((last.header.epoch, last.end()), (7, 225));
+}
+
+#[test]
+fn packet_ahead_is_used_if_the_next_one_follows_it_or_does_not_arrive() {
+    for has_next in [true, false] {
+        let mut feed = feed();
+        send_both(&mut feed, 0..4);
+        // A file continues after a gap of ten seconds, without any delay.
+        let (mut out, at_end) = (Vec::new(), at(100 * STEP));
+        for number in 44..44 + 1 + i64::from(has_next) {
+            let both = ["EHZ", "ENZ"].map(|label| packet(label, number));
+            out.extend(send(&mut feed, &both, at_end));
+        }
+        let before = blocks(&out).iter().map(|block| block.count()).sum::<u64>();
+        assert_eq!(before, if has_next { 50 } else { 0 });
+        feed.handle(Input::Tick, at(100 * STEP + 11 * SECOND), &mut out);
+        let counts = [("undelivered-samples".to_owned(), 2000)];
+        assert_eq!(feed.drops(0), counts.into(), "{has_next}");
+        assert_eq!(errors(&out), [""; 0]);
+        let first = blocks(&out)[0].header.time_ns;
+        assert_eq!(first, T0 + 44 * 25 * STEP);
+    }
+}
+
+#[test]
+fn infinite_sample_is_an_error_and_counts_as_missing() {
+    let mut feed = feed();
+    let mut both = ["EHZ", "ENZ"].map(|label| packet(label, 0));
+    both[1].values[3] = f64::INFINITY;
+    let out = send(&mut feed, &both, at(25 * STEP));
+    let why = "ENZ: a sample is infinite, must be a finite number; it counts as missing";
+    assert_eq!(errors(&out), [why]);
+    let rows: Vec<&[f64]> = blocks(&out)[0].iter().collect();
+    assert!(rows[3][0] == 3.0 && rows[3][1].is_nan() && rows[4] == [4.0, 4.0]);
+}
