@@ -116,6 +116,45 @@ def test_nested_lists_objects_and_reserved_words_are_read():
     assert found.drops == {"lost-items": 1} and found.lag_s is None and found.pace is None
 
 
+def test_the_statuses_of_feed_ingest_and_notify_have_no_unknown_fields(caplog):
+    instrument = {"state": "failed", "since_ns": 1, "samples": 25, "errors": 2}
+    error = {"last_error": "no time", "last_error_ns": 4}
+    period = {
+        "structure": "house",
+        "parameter": None,
+        "time_ns": 1,
+        "until_ns": 9,
+        "who": "Ada",
+        "reason": "new bearings",
+    }
+    status = {
+        "structure": "house",
+        "service": "feed",
+        "id": "feed",
+        "time_ns": 5,
+        "lag_s": 0.1,
+        "done": 12,
+        "drops": {},
+        "restarts": 0,
+        "version": "0.1.0",
+        "instruments": {"shake": {**instrument, **error}, "logger": instrument},
+        "clocks": {"roof": {"offset_s": 0.0, "jitter_s": 0.0, "quality_percent": 80}},
+        "missing": {"ground": 0.75},
+        "maintenance": [period],
+    }
+    kind = spandrel.Status
+    with caplog.at_level(logging.WARNING, logger="spandrel"):
+        found = decode(
+            kind, "r/house/status/feed/feed", encoding_of(kind), json.dumps(status).encode()
+        )
+    assert [record.message for record in caplog.records] == []
+    assert found.instruments is not None and found.maintenance is not None
+    assert found.instruments["shake"].last_error == "no time"
+    assert found.instruments["logger"].last_error is None
+    assert found.missing == {"ground": 0.75}
+    assert (found.maintenance[0].who, found.maintenance[0].parameter) == ("Ada", None)
+
+
 def test_the_shape_of_a_mode_is_read():
     shape = {"channel": "floor-1", "value": [1.0, 0], "std": 0.0}
     estimate = {

@@ -4,7 +4,7 @@
 //! arrives now: the share of samples that the filter uses, and the rate at which it learns about
 //! each parameter. It has no clock: the passage of time is an argument.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use spandrel_bus::{
@@ -37,7 +37,12 @@ const NAMES_SHOWN: usize = 6;
 pub(crate) struct Monitoring {
     structure: Name,
     parameters: Vec<WatchedParameter>,
+    /// The response channels.
     channels: Vec<WatchedChannel>,
+    /// The channels that measure an excitation.
+    excitations: Vec<WatchedChannel>,
+    /// Share of the latest frames without a sample, for the channels that miss samples.
+    missing: BTreeMap<Name, f64>,
     /// Rate of the estimates, Hz: that of the frames, or of the fusion.
     rate_hz: f64,
     /// Segments of the span, oldest first. The last one is incomplete.
@@ -125,19 +130,28 @@ impl Monitoring {
                 .map(move |channel| (channel.name(), samples_per_frame))
         });
         let of_nodes: Vec<(&str, f64)> = of_nodes.collect();
-        let observed = structure.observation_channels().iter();
-        let channels = observed
-            .filter_map(|index| of_nodes.get(*index))
-            .map(|(name, share)| {
-                Ok(WatchedChannel {
-                    name: named(name)?,
-                    samples_per_frame: *share,
-                })
-            });
+        let watched = |index: &usize| {
+            let (name, share) = of_nodes.get(*index)?;
+            Some(named(name).map(|name| WatchedChannel {
+                name,
+                samples_per_frame: *share,
+            }))
+        };
+        let observed = structure.observation_channels();
+        let mut excitations: Vec<usize> = Vec::new();
+        for channel in structure.excitation_channels().iter().flatten() {
+            if !excitations.contains(channel) && !observed.contains(channel) {
+                excitations.push(*channel);
+            }
+        }
+        let channels = observed.iter().filter_map(watched);
         Ok(Self {
             structure: named(structure.name())?,
             parameters: parameters.collect::<Result<_, AlertError>>()?,
             channels: channels.collect::<Result<_, AlertError>>()?,
+            excitations: { excitations.iter().filter_map(watched) }
+                .collect::<Result<_, AlertError>>()?,
+            missing: BTreeMap::new(),
             rate_hz,
             segments: VecDeque::new(),
             last: None,
@@ -148,8 +162,9 @@ impl Monitoring {
         })
     }
 
-    /// Takes the clocks of the nodes from the status of ingest.
-    pub(crate) fn take_clocks(&mut self, of_ingest: &Status) {
+    /// Takes the clocks of the nodes and the missing samples from the status of ingest.
+    pub(crate) fn take_status(&mut self, of_ingest: &Status) {
+        self.missing = of_ingest.missing.clone();
         let clocks = of_ingest.clocks.iter();
         let wrong = clocks.filter_map(|(node, clock)| Some((node.clone(), clock.difference_s?)));
         self.wrong_clocks = wrong.collect();
@@ -204,8 +219,13 @@ impl Monitoring {
         now_ns: i64,
     ) -> (MonitoringDisplay, Option<Change>) {
         let parameters = self.parameter_states(watch);
-        let channels = self.channel_states();
-        let (found, reasons) = self.structure_state(watch, &parameters, &channels, silence);
+        let mut channels = self.channel_states();
+        let has_response = !self.is_without_response(&channels);
+        if self.knows_channels {
+            channels.extend(self.excitation_states());
+        }
+        let (found, reasons) =
+            self.structure_state(watch, &parameters, &channels, has_response, silence);
         let is_repeated = self.candidate.replace(found) == Some(found);
         let before = self.state.take();
         let judged = match &before {
@@ -277,18 +297,19 @@ impl Monitoring {
                 .filter_map(|segment| segment.used.get(index));
             let used: u64 = of_channel.sum();
             let expected = (frames as f64 * channel.samples_per_frame).max(1.0);
-            let used_share = (used as f64 / expected).min(1.0);
-            ChannelMonitoring {
-                channel: channel.name.clone(),
-                state: match used_share {
-                    share if share < BLIND_BELOW => State::Blind,
-                    share if share < DEGRADED_BELOW => State::Degraded,
-                    _ => State::Watching,
-                },
-                used_share,
-            }
+            channel.state((used as f64 / expected).min(1.0))
         });
         states.collect()
+    }
+
+    /// Returns the states of the channels that measure an excitation. Estimates do not contain their
+    /// use, but the filter uses each of their samples.
+    fn excitation_states(&self) -> impl Iterator<Item = ChannelMonitoring> {
+        self.excitations.iter().map(|channel| {
+            let missing = self.missing.get(&channel.name).copied().unwrap_or(0.0);
+            let used_share = (1.0 - missing) / channel.samples_per_frame;
+            channel.state(used_share.clamp(0.0, 1.0))
+        })
     }
 
     fn structure_state(
@@ -296,6 +317,7 @@ impl Monitoring {
         watch: &Watch,
         parameters: &[ParameterMonitoring],
         channels: &[ChannelMonitoring],
+        has_response: bool,
         silence: Duration,
     ) -> (State, Vec<String>) {
         let Some(last) = &self.last else {
@@ -315,15 +337,24 @@ impl Monitoring {
         if last.phase == Phase::SensorInDoubt {
             reasons.push(UndecidedBecause::SensorInDoubt.words().to_owned());
         }
-        if self.is_without_response(channels) {
+        if !has_response {
             reasons.push("no sensor of the response delivers usable samples".to_owned());
         }
         let is_blind = !reasons.is_empty();
         reasons.extend(clock_reason(&self.wrong_clocks));
-        if !self.is_without_response(channels) {
-            reasons.extend(channel_reasons(channels));
+        match has_response {
+            true => reasons.extend(channel_reasons(channels)),
+            false => {
+                let excitations = channels.get(self.channels.len()..);
+                reasons.extend(channel_reasons(excitations.unwrap_or_default()));
+            }
         }
-        reasons.extend(parameter_reasons(parameters));
+        for reason in parameter_reasons(parameters) {
+            // The reason of all parameters can be that of the structure.
+            if !reasons.contains(&reason) {
+                reasons.push(reason);
+            }
+        }
         // Damage is found by the rules. Without rules, every parameter counts.
         let has_rule = |(index, _): &(usize, _)| watch.vigilance(*index).is_some();
         let with_rule = parameters.iter().enumerate().filter(has_rule);
@@ -350,6 +381,21 @@ impl Monitoring {
         let frames: u64 = self.segments.iter().map(|segment| segment.frames).sum();
         let predicted: u64 = self.segments.iter().map(|segment| segment.predicted).sum();
         predicted as f64 > (1.0 - BLIND_BELOW) * frames as f64
+    }
+}
+
+impl WatchedChannel {
+    /// Returns the state of a channel of which this share of the samples is used.
+    fn state(&self, used_share: f64) -> ChannelMonitoring {
+        ChannelMonitoring {
+            channel: self.name.clone(),
+            state: match used_share {
+                share if share < BLIND_BELOW => State::Blind,
+                share if share < DEGRADED_BELOW => State::Degraded,
+                _ => State::Watching,
+            },
+            used_share,
+        }
     }
 }
 

@@ -563,7 +563,7 @@ impl AlertService {
     /// Publishes the state of the monitoring, and an event if it has changed.
     async fn put_monitoring(&mut self) -> Result<(), AlertError> {
         if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
-            self.monitoring.take_clocks(&status);
+            self.monitoring.take_status(&status);
         }
         let silence = self.received_at.elapsed();
         let now_ns = self.clock.now_ns();

@@ -691,6 +691,7 @@ mod tests {
             undecided: BTreeMap::new(),
             instruments: BTreeMap::new(),
             clocks: BTreeMap::new(),
+            missing: BTreeMap::new(),
             maintenance: Vec::new(),
             state: None,
             done: 1,

@@ -50,6 +50,7 @@ mod clock_watch;
 mod drop_watch;
 mod lateness;
 mod lockout_watch;
+mod missing_share;
 mod quality_watch;
 mod timekeeping;
 

@@ -21,6 +21,7 @@ use crate::drop_watch::DropWatch;
 use crate::error::IngestError;
 use crate::layout::Layout;
 use crate::lockout_watch::LockoutWatch;
+use crate::missing_share::MissingShare;
 use crate::quality_watch::QualityWatch;
 use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
 use crate::timekeeping::Timekeeping;
@@ -129,6 +130,7 @@ pub struct IngestService {
     drop_watch: DropWatch,
     lockout_watch: LockoutWatch,
     quality_watch: QualityWatch,
+    missing_share: MissingShare,
     events: EventPublisher,
     keys: Keys,
     /// Pace of the last block. The nodes of a structure are either all live or all replayed.
@@ -204,6 +206,8 @@ impl IngestService {
             let ServiceInstance { bus, id, clock } = instance;
             let epoch = clock.epoch();
             let shown = NodeChannels::of(&layout, &channels)?;
+            let names = shown.iter().flat_map(|node| node.channels.clone());
+            let missing_share = MissingShare::new(names.collect(), layout.sampling_rate_hz());
             let (recorder, past) = match &recording {
                 Some(recording) => {
                     let structure = keys.structure().as_str();
@@ -331,6 +335,7 @@ impl IngestService {
                 ),
                 lockout_watch: LockoutWatch::new(node_count),
                 quality_watch: QualityWatch::new(node_count),
+                missing_share,
                 events: EventPublisher::declare(bus, &keys).await?,
                 pace: Pace::Live,
                 pace_heard: None,
@@ -474,6 +479,7 @@ impl IngestService {
                 self.frames.release(epoch, block.end());
             }
             self.displays.offer(&block);
+            self.missing_share.take(&block);
             self.frames.put(block).await?;
             self.progress
                 .set(epoch, self.done, self.last_time_ns.unwrap_or(i64::MIN));
@@ -632,6 +638,7 @@ impl IngestService {
         }
         let report = Report {
             clocks: self.node_clocks(),
+            missing: self.missing_share.shares(),
             done: self.done,
             processed_ns: self.last_time_ns,
             drops,

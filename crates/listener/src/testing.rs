@@ -76,6 +76,7 @@ pub(crate) fn status(service: Service) -> Status {
         undecided: BTreeMap::new(),
         instruments: BTreeMap::new(),
         clocks: BTreeMap::new(),
+        missing: BTreeMap::new(),
         maintenance: Vec::new(),
         state: None,
         done: 0,

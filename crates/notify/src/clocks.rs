@@ -225,6 +225,7 @@ mod tests {
             undecided: BTreeMap::new(),
             instruments: BTreeMap::new(),
             clocks: [(name("roof"), clock)].into(),
+            missing: BTreeMap::new(),
             maintenance: Vec::new(),
             drops: BTreeMap::new(),
             restarts: 0,

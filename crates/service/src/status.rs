@@ -42,6 +42,8 @@ pub struct Report {
     pub instruments: BTreeMap<String, InstrumentStatus>,
     /// When the nodes sample, for those that do not sample at the times of the frames.
     pub clocks: BTreeMap<Name, NodeClock>,
+    /// Share of the latest frames without a sample, for the channels that miss samples.
+    pub missing: BTreeMap<Name, f64>,
     /// Present maintenance of the structure.
     pub maintenance: Vec<Maintenance>,
 }
@@ -107,6 +109,7 @@ impl StatusPublisher {
             undecided: report.undecided,
             instruments: report.instruments,
             clocks: report.clocks,
+            missing: report.missing,
             maintenance: report.maintenance,
             drops: report.drops,
             restarts: report.restarts,

@@ -551,6 +551,30 @@ class NodeClock:
 
 
 @dataclass(frozen=True)
+class InstrumentStatus:
+    """State and counts of an instrument that the feed connects."""
+
+    state: str
+    since_ns: int
+    samples: int
+    errors: int
+    last_error: Optional[str] = None
+    last_error_ns: Optional[int] = None
+
+
+@dataclass(frozen=True)
+class Maintenance:
+    """A period during which the notices of a structure, or of one part, are muted."""
+
+    structure: str
+    time_ns: int
+    until_ns: int
+    who: str
+    reason: str
+    parameter: Optional[str] = None
+
+
+@dataclass(frozen=True)
 class Status:
     """State of a service, published once per second."""
 
@@ -573,7 +597,10 @@ class Status:
     frames_behind: Optional[int] = None
     fit: Optional[str] = None
     undecided: Optional[Mapping[str, int]] = None
+    instruments: Optional[Mapping[str, InstrumentStatus]] = None
     clocks: Optional[Mapping[str, NodeClock]] = None
+    missing: Optional[Mapping[str, float]] = None
+    maintenance: Optional[Tuple[Maintenance, ...]] = None
 
 
 Message = Union[

@@ -196,11 +196,9 @@ fn state_changes_at_the_second_judgement_and_is_reported_once() {
     assert_eq!(change.display.since_ns, 3_000_000_000);
 }
 
-#[test]
-fn wrong_clock_of_a_node_is_named() {
-    let mut bench = Bench::new();
-    bench.run(10, 0.001, |_| true);
-    let mut status = Status {
+/// Returns a status of ingest without any fault.
+fn status_of_ingest() -> Status {
+    Status {
         structure: Name::new("tower").unwrap(),
         service: Name::new("ingest").unwrap(),
         id: Name::new("ingest").unwrap(),
@@ -212,20 +210,56 @@ fn wrong_clock_of_a_node_is_named() {
         load: None,
         frames_behind: None,
         fit: None,
-        undecided: std::collections::BTreeMap::new(),
-        instruments: std::collections::BTreeMap::new(),
-        clocks: std::collections::BTreeMap::new(),
+        undecided: BTreeMap::new(),
+        instruments: BTreeMap::new(),
+        clocks: BTreeMap::new(),
+        missing: BTreeMap::new(),
         maintenance: Vec::new(),
-        drops: std::collections::BTreeMap::new(),
+        drops: BTreeMap::new(),
         restarts: 0,
         version: String::new(),
-    };
+    }
+}
+
+// A ground sensor that lost three of four samples changed nothing on the page.
+#[test]
+fn missing_samples_of_the_ground_degrade_the_structure_and_are_reported() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    let mut status = status_of_ingest();
+    let ground = || Name::new("ground").unwrap();
+    for (missing, state, reason) in [
+        (
+            0.75,
+            State::Degraded,
+            "25 % of the samples of ground are used",
+        ),
+        (1.0, State::Blind, "no samples of ground are used"),
+    ] {
+        status.missing.insert(ground(), missing);
+        bench.monitoring.take_status(&status);
+        let display = bench.judge(Duration::ZERO);
+        assert_eq!(display.state, State::Degraded, "{display:?}");
+        assert_eq!(display.reasons, [reason]);
+        let channel = display.channels.last().unwrap();
+        assert_eq!((&channel.channel, channel.state), (&ground(), state));
+    }
+    bench.monitoring.take_status(&status_of_ingest());
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.words(), "watching");
+}
+
+#[test]
+fn wrong_clock_of_a_node_is_named() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    let mut status = status_of_ingest();
     let clock = spandrel_bus::NodeClock {
         difference_s: Some(-3600.0),
         ..spandrel_bus::NodeClock::default()
     };
     status.clocks.insert(Name::new("roof").unwrap(), clock);
-    bench.monitoring.take_clocks(&status);
+    bench.monitoring.take_status(&status);
     let display = bench.judge(Duration::ZERO);
     assert_eq!(display.state, State::Degraded, "{display:?}");
     assert_eq!(

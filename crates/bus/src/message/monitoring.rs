@@ -53,7 +53,7 @@ pub struct ParameterMonitoring {
     pub sustained_std: Option<f64>,
 }
 
-/// Whether the samples of one response channel are used at present.
+/// Whether the samples of one channel are used at present.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelMonitoring {
     /// Name of the channel.
@@ -84,8 +84,8 @@ pub struct MonitoringDisplay {
     /// The parameters, in state order.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub parameters: Vec<ParameterMonitoring>,
-    /// The response channels, in the order of the structure file. Empty with distributed
-    /// identification.
+    /// The response channels in the order of the structure file, and then the channels that measure
+    /// an excitation. Empty with distributed identification.
     #[serde(deserialize_with = "bounded::list::<_, _, MAX_CHANNELS>")]
     pub channels: Vec<ChannelMonitoring>,
 }

@@ -168,6 +168,10 @@ pub struct Status {
     /// states the quality of its clock are there as well.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub clocks: BTreeMap<Name, NodeClock>,
+    /// Share of the last 5 s of frames without a sample of the channel, by channel, 0 to 1. Only
+    /// ingest reports it. Channels without a missing sample are omitted.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub missing: BTreeMap<Name, f64>,
     /// Present maintenance of the structure. Only notify reports it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub maintenance: Vec<Maintenance>,
@@ -227,6 +231,10 @@ impl Message for Status {
             let quality = f64::from(clock.quality_percent.unwrap_or(0));
             check_range("clock quality", quality, 0.0, 100.0)?;
         }
+        check_count("missing", self.missing.len(), 0, MAX_CHANNELS)?;
+        for share in self.missing.values() {
+            check_range("missing share", *share, 0.0, 1.0)?;
+        }
         check_count("maintenance", self.maintenance.len(), 0, MAX_CHANNELS)?;
         for maintenance in &self.maintenance {
             maintenance.check()?;
@@ -259,6 +267,7 @@ mod tests {
             undecided: BTreeMap::new(),
             instruments: BTreeMap::new(),
             clocks: BTreeMap::new(),
+            missing: BTreeMap::new(),
             maintenance: Vec::new(),
             drops: BTreeMap::new(),
             restarts: 0,

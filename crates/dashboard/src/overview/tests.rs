@@ -470,6 +470,7 @@ fn status(service: Service, time_ns: i64, pace: Option<Pace>) -> Input {
         undecided: std::collections::BTreeMap::new(),
         instruments: std::collections::BTreeMap::new(),
         clocks: std::collections::BTreeMap::new(),
+        missing: std::collections::BTreeMap::new(),
         maintenance: Vec::new(),
         state: None,
         done: 1,

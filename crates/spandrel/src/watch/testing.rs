@@ -186,6 +186,7 @@ pub fn status(service: Service, lag_s: f64, drops: &[(&str, u64)]) -> Status {
         undecided: BTreeMap::new(),
         instruments: BTreeMap::new(),
         clocks: BTreeMap::new(),
+        missing: BTreeMap::new(),
         maintenance: Vec::new(),
         state: None,
         done: 1200,
