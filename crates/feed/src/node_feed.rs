@@ -203,7 +203,7 @@ impl NodeFeed {
         start_ns.saturating_sub(expected_ns) > limit_ns
     }
 
-    /// Decides on the packet ahead by the next one: it is right if the next one follows it.
+    /// Decides on the packet ahead by the next one: it is right unless the next one is earlier.
     fn confirm(&mut self, lane: usize, next: &Series, arrival: Arrival, out: &mut NodeOutput) {
         let Some(state) = self.lanes.get_mut(lane) else {
             return;
@@ -212,9 +212,7 @@ impl NodeFeed {
             return;
         };
         let end_ns = self.rows.time_after(ahead.start_ns, ahead.values.len());
-        let since_ns = next.start_ns.saturating_sub(end_ns);
-        let elapsed_ns = arrival.at.elapsed_ns.saturating_sub(arrived.at.elapsed_ns);
-        if since_ns >= -arrival.tolerance_ns && since_ns <= elapsed_ns.saturating_add(AHEAD_NS) {
+        if next.start_ns >= end_ns.saturating_sub(arrival.tolerance_ns) {
             return self.take_timed(lane, ahead, arrived, out);
         }
         let samples = ahead.values.len();

@@ -445,6 +445,22 @@ fn packet_ahead_is_used_if_the_next_one_follows_it_or_does_not_arrive() {
     }
 }
 
+// Short recordings of events that are dropped into a folder together.
+#[test]
+fn packets_with_gaps_between_them_are_all_used() {
+    let mut feed = feed();
+    let mut out = Vec::new();
+    for number in [0, 40, 80, 160] {
+        let both = ["EHZ", "ENZ"].map(|label| packet(label, number));
+        out.extend(send(&mut feed, &both, at(number)));
+    }
+    feed.handle(Input::Stop, at(SECOND), &mut out);
+    let starts: Vec<i64> = blocks(&out).iter().map(|one| one.header.time_ns).collect();
+    let expected = [0, 40, 80, 160].map(|number| T0 + number * 25 * STEP);
+    assert_eq!(starts, expected);
+    assert_eq!(feed.drops(0).get("stray-samples"), None);
+}
+
 #[test]
 fn infinite_sample_is_an_error_and_counts_as_missing() {
     let mut feed = feed();
