@@ -31,6 +31,17 @@ impl Bench {
     /// Processes seconds of estimates of a sound tower. The filter uses the samples for which
     /// `is_used` returns `true`, and sustains this standard deviation.
     fn run(&mut self, seconds: u64, sustained_std: f32, is_used: impl Fn(u64) -> bool) {
+        self.run_in(Phase::Working, seconds, sustained_std, is_used);
+    }
+
+    /// Does the same in a phase of the filter.
+    fn run_in(
+        &mut self,
+        phase: Phase,
+        seconds: u64,
+        sustained_std: f32,
+        is_used: impl Fn(u64) -> bool,
+    ) {
         let parameters = self.watch.parameter_count();
         let channels = self.monitoring.channels.len();
         let estimates = (0..seconds * RATE_HZ as u64).map(|frame| {
@@ -50,6 +61,7 @@ impl Bench {
                 log_evidence: 0.0,
                 used_channels: 0,
                 flags: EstimateFlags {
+                    phase,
                     prediction_only: innovation.is_nan(),
                     ..EstimateFlags::working()
                 },
@@ -219,6 +231,15 @@ fn status_of_ingest() -> Status {
         restarts: 0,
         version: String::new(),
     }
+}
+
+#[test]
+fn reason_of_the_structure_and_of_all_its_parameters_is_named_once() {
+    let mut bench = Bench::new();
+    bench.run(10, 0.001, |_| true);
+    bench.run_in(Phase::SensorInDoubt, 10, 0.001, |_| true);
+    let display = bench.judge(Duration::ZERO);
+    assert_eq!(display.words(), "blind: a sensor is probably faulty");
 }
 
 // A ground sensor that lost three of four samples changed nothing on the page.
