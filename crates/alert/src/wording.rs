@@ -2,8 +2,7 @@
 
 use jiff::Timestamp;
 use spandrel_bus::{
-    AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words, per_cent,
-    per_cent_range,
+    AlertState, FitVerdict, RoundedProbability, UndecidedBecause, fit_in_words, per_cent, per_cents,
 };
 
 use crate::motion::Shaking;
@@ -43,11 +42,10 @@ pub(crate) fn describe(
     let follows = alert.follows_jump && alert.undecided_because.is_none();
     let how_much = match has_lost && follows {
         true => followed(quantity, loss, alert, before.alert),
-        false => format!(
-            "{} of its {quantity} ({})",
-            percent(loss.loss),
-            intervals(loss, alert)
-        ),
+        false => {
+            let (lost, intervals) = with_intervals(loss.loss, loss, alert);
+            format!("{lost} of its {quantity} ({intervals})")
+        }
     };
     let found = alert.probability_of_loss;
     let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
@@ -215,11 +213,8 @@ fn followed(quantity: &str, loss: &LossEstimate, alert: &Alert, before: Option<&
     let has_risen = before
         .is_some_and(|before| before.follows_jump && before.estimate.mean < alert.estimate.mean);
     let moves = if has_risen { "moving" } else { "falling" };
-    format!(
-        "at least {} of its {quantity}, still {moves} ({})",
-        percent(loss.low.max(0.0)),
-        intervals(loss, alert)
-    )
+    let (least, intervals) = with_intervals(loss.low.max(0.0), loss, alert);
+    format!("at least {least} of its {quantity}, still {moves} ({intervals})")
 }
 
 /// The reason why an alert ends without a new measurement.
@@ -317,22 +312,28 @@ fn percent(share: f64) -> String {
     format!("{} %", per_cent(share))
 }
 
-/// Returns the interval of the loss, and the interval within this record if the reference has an
-/// estimated scatter.
-fn intervals(loss: &LossEstimate, alert: &Alert) -> String {
-    let range = |loss: &LossEstimate| per_cent_range(loss.low, loss.high);
+/// Returns a loss, and the interval of the loss with the interval within this record if the
+/// reference has an estimated scatter. All have the same number of decimals.
+fn with_intervals(lost: f64, loss: &LossEstimate, alert: &Alert) -> (String, String) {
     let has_scatter = alert
         .reference
         .is_some_and(|reference| reference.scatter().is_some());
     match alert.loss_within_record().filter(|_| has_scatter) {
         Some(within) => {
-            format!(
-                "95 % interval for this structure {}, within this record {}",
-                range(loss),
-                range(&within)
+            let [lost, low, high, least, most] =
+                per_cents([lost, loss.low, loss.high, within.low, within.high]);
+            let intervals = format!(
+                "95 % interval for this structure {low} to {high} %, within this record {least} to {most} %"
+            );
+            (format!("{lost} %"), intervals)
+        }
+        None => {
+            let [lost, low, high] = per_cents([lost, loss.low, loss.high]);
+            (
+                format!("{lost} %"),
+                format!("95 % interval {low} to {high} %"),
             )
         }
-        None => format!("95 % interval {}", range(loss)),
     }
 }
 

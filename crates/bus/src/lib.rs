@@ -105,7 +105,7 @@ pub use message::{
     REFERENCE_IS_LEARNT, ReportPage, RoundedProbability, SampleBlock, SampleLevel, ScreenedChannel,
     SensorHealthDisplay, ShapeValue, Soundness, SpectrumDisplay, Standing, StateMessage, Status,
     StreamState, ToldMotion, ToldSamples, UndecidedBecause, WaveformDisplay, fit_in_words,
-    is_without_date, losses_agree, per_cent, per_cent_range, reported_pace,
+    is_without_date, losses_agree, per_cent, per_cents, reported_pace,
 };
 pub use name::{MAX_NAME_BYTES, Name, NameError};
 pub use progress::{ProgressPublisher, ProgressWatch};

@@ -67,7 +67,7 @@ pub use local::{
     LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,
     ToldSamples,
 };
-pub use loss::{LossDisplay, losses_agree, per_cent, per_cent_range};
+pub use loss::{LossDisplay, losses_agree, per_cent, per_cents};
 pub use maintenance::Maintenance;
 pub use mode::{ModeDisplay, ModeEstimate, ModeState, ShapeValue};
 pub use model_class::{ClassCalibration, ClassPlausibility, ModelClassDisplay};

@@ -62,11 +62,10 @@ impl LossDisplay {
     /// Returns the loss in words: its value, interval and probability.
     #[must_use]
     pub fn words(&self) -> String {
+        let [loss, low, high] = per_cents([self.loss, self.interval.low, self.interval.high]);
         format!(
-            "loss {} % ({:.0} % interval {}), more than {} % with probability {}",
-            per_cent(self.loss),
+            "loss {loss} % ({:.0} % interval {low} to {high} %), more than {} % with probability {}",
             100.0 * self.interval.level,
-            per_cent_range(self.interval.low, self.interval.high),
             per_cent(self.rule_loss),
             self.shown_probability(),
         )
@@ -91,25 +90,22 @@ pub fn losses_agree(a: (f64, CredibleInterval), b: (f64, CredibleInterval)) -> b
 /// Formats a share in per cent without the sign, with one decimal unless it is whole: `14.2`, `5`.
 #[must_use]
 pub fn per_cent(share: f64) -> String {
-    let text = format!("{:.1}", share * 100.0);
-    match text.strip_suffix(".0") {
-        Some("-0") => "0".to_owned(),
-        Some(whole) => whole.to_owned(),
-        None => text,
-    }
+    let [text] = per_cents([share]);
+    text
 }
 
-/// Formats a range of shares in per cent, with one decimal unless both are whole: `14.1 to 16.0 %`,
-/// `1 to 5 %`.
+/// Formats the shares of one statement in per cent without the sign, with one decimal unless all
+/// are whole: `15.0`, `14.1` and `16.0`, but `3`, `1` and `5`.
 #[must_use]
-pub fn per_cent_range(low: f64, high: f64) -> String {
-    let ends = [low, high].map(per_cent);
-    let are_whole = ends.iter().all(|end| !end.contains('.'));
-    let [low, high] = ends.map(|end| match are_whole || end.contains('.') {
-        true => end,
-        false => end + ".0",
+pub fn per_cents<const N: usize>(shares: [f64; N]) -> [String; N] {
+    let texts = shares.map(|share| match format!("{:.1}", share * 100.0) {
+        zero if zero == "-0.0" => "0.0".to_owned(),
+        text => text,
     });
-    format!("{low} to {high} %")
+    match texts.iter().all(|text| text.ends_with(".0")) {
+        true => texts.map(|text| text.trim_end_matches(".0").to_owned()),
+        false => texts,
+    }
 }
 
 impl Message for LossDisplay {
@@ -140,11 +136,25 @@ mod tests {
     use super::super::FitReasons;
     use super::*;
 
+    /// Regression test: a loss of "-1 %" was beside an interval "-2.7 to 0.7 %".
     #[test]
-    fn both_ends_of_a_range_have_the_same_number_of_decimals() {
-        let ranges = [(0.141, 0.16), (0.01, 0.05), (-0.0001, 0.123)];
-        let found = ranges.map(|(low, high)| per_cent_range(low, high));
-        assert_eq!(found, ["14.1 to 16.0 %", "1 to 5 %", "0.0 to 12.3 %"]);
+    fn a_loss_and_its_interval_have_the_same_number_of_decimals() {
+        let statements = [
+            [-0.01, -0.027, 0.007],
+            [0.15, 0.141, 0.16],
+            [0.03, 0.01, 0.05],
+            [0.06, -0.0001, 0.123],
+            [0.1, 0.0, 0.2],
+        ];
+        let found = statements.map(|statement| per_cents(statement).join(" "));
+        let expected = [
+            "-1.0 -2.7 0.7",
+            "15.0 14.1 16.0",
+            "3 1 5",
+            "6.0 0.0 12.3",
+            "10 0 20",
+        ];
+        assert_eq!(found, expected);
     }
 
     fn alert(state: AlertState) -> AlertMessage {

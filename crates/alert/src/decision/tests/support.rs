@@ -141,9 +141,12 @@ fn loss_has_an_interval_for_the_structure_and_one_within_the_record() {
             && (half..1.4 * half).contains(&(0.2 - whole.low)),
         "{whole:?}"
     );
-    let told = "20 % of its stiffness (95 % interval for this structure ";
+    let told = "20.0 % of its stiffness (95 % interval for this structure ";
     assert!(
-        raised.why.contains(told) && raised.why.contains(" %, within this record 18 to 22 %)"),
+        raised.why.contains(told)
+            && raised
+                .why
+                .contains(" %, within this record 18.0 to 22.0 %)"),
         "{}",
         raised.why
     );
