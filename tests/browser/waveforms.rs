@@ -86,6 +86,26 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
            return green > 20; }})()"
     );
     browser.wait("the colours of densities", &colours).await;
+    // Regression test: the first spectra were a strip at the right end of an empty plot. The plot
+    // reaches from its axis to the right end of the canvas.
+    let covered = format!(
+        "(() => {{ const canvas = {spectrogram}; \
+           const row = Math.round(0.4 * canvas.height); \
+           const {{ data }} = canvas.getContext('2d').getImageData(0, row, canvas.width, 1); \
+           let opaque = 0; \
+           for (let at = 3; at < data.length; at += 4) opaque += data[at] === 255; \
+           return opaque > 0.7 * canvas.width; }})()"
+    );
+    browser.reload().await;
+    browser
+        .wait(
+            "the first spectrum after a reload",
+            &format!(
+                "(document.querySelector('#plot-spectrogram-floor-2')?.scrollIntoView(), {colours})"
+            ),
+        )
+        .await;
+    assert_eq!(browser.evaluate(&covered).await, true, "a strip");
     for scheme in ["light", "dark"] {
         browser.prefer(scheme).await;
         browser.screenshot(&format!("waveforms-{scheme}")).await;

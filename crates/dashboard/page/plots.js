@@ -159,7 +159,8 @@ export function waveformPlot(sensor, points, span, shared) {
       names: [name],
       rows: (columns) => columns.get(name),
       series: () => [line(0, { width: 1, dash: [] }), line(0, { width: 1, dash: [] })],
-      bands: () => [{ series: [2, 1], fill: css("--band-50") }],
+      // In one colour, so that parts with many points do not look different from parts with few.
+      bands: () => [{ series: [2, 1], fill: css("--line-1") }],
       range: (u, least, largest) => shared(largest === null ? null : padded(u, least, largest)) ?? [0, 1],
       readout: (data, at) => (data[1][at] === null ? t("no-sample") : t("range-in-unit", number(data[1][at]), number(data[2][at]), unit(sensor.unit))),
     },

@@ -58,6 +58,36 @@ export class SpectrumHistory {
   }
 }
 
+/**
+ * The time that the spectrograms show: that of the other plots, but a live span starts no earlier than
+ * the collected spectra, so that a few of them also fill the plot.
+ */
+class Collected {
+  constructor(history, channel, span) {
+    Object.assign(this, { history, channel, span });
+  }
+
+  get shown() {
+    const { min, max } = this.span.shown;
+    const spectra = this.history.columns(this.channel)?.spectra;
+    if (!this.span.isLive || !spectra) return { min, max };
+    const [first, last] = [spectra[0].time_s - STEP_S, spectra.at(-1).time_s];
+    return { min: Math.min(Math.max(min, first), last - STEP_S), max: last };
+  }
+
+  get length_s() {
+    return this.span.length_s;
+  }
+
+  fix(from_s, to_s) {
+    this.span.fix(from_s, to_s);
+  }
+
+  live(length_s) {
+    this.span.live(length_s);
+  }
+}
+
 /** Creates the spectrogram of a channel. `modes()` returns the natural frequencies { name, frequency }. */
 export function spectrogramPlot(sensor, history, span, modes) {
   const { channel } = sensor;
@@ -88,7 +118,7 @@ export function spectrogramPlot(sensor, history, span, modes) {
       isContinuous: true,
     },
     history,
-    span,
+    new Collected(history, channel, span),
   );
   const scale = plot.key("colours", of);
   return plot;
