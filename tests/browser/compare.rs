@@ -5,7 +5,7 @@ use super::layout::{demo, example};
 use serde_json::{Value, json};
 
 /// Waits for the end of a demo.
-const ENDED: &str = "document.body.innerText.includes('no new data')";
+const ENDED: &str = "document.body.innerText.includes('record has ended')";
 
 /// Returns the cells of a quantity in the table of the differences.
 fn cells(name: &str) -> String {

@@ -62,7 +62,7 @@ async fn the_page_is_in_german_for_a_german_browser() {
     browser
         .wait(
             "the end of the demo in German",
-            "document.body.innerText.includes('keine neuen Daten')",
+            "document.body.innerText.includes('Aufzeichnung beendet')",
         )
         .await;
     for (hash, content) in [

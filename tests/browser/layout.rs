@@ -62,7 +62,7 @@ async fn short_names_and_values_do_not_break_at_the_end_of_a_line() {
     browser
         .wait(
             "the end of the demo",
-            "document.body.innerText.includes('no new data')",
+            "document.body.innerText.includes('record has ended')",
         )
         .await;
     let words = r"(() => {

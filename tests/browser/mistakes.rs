@@ -5,7 +5,7 @@ use super::layout::{demo, example};
 use serde_json::json;
 
 /// Waits for the end of a demo, whose data then become stale.
-const ENDED: &str = "document.body.innerText.includes('no new data')";
+const ENDED: &str = "document.body.innerText.includes('record has ended')";
 
 /// Regression test: an acknowledged alarm turned into "No data", and its badge vanished. The
 /// sentences of normal parts were those of the first decision. The times were in the future.
@@ -101,6 +101,15 @@ async fn a_print_of_each_tab_is_complete() {
             "[document.documentElement.scrollWidth, ...[...document.querySelectorAll('#panel-{tab} canvas')].map((one) => one.getBoundingClientRect().right)].filter((right) => right > 680)"
         );
         assert_eq!(browser.evaluate(&wide).await, json!([]), "{tab} is cut off");
+        // Regression test: a print did not name its tab, and contained controls.
+        let titled = format!(
+            "[document.querySelector('h1').innerText === `demo – ${{document.getElementById('tab-{tab}').textContent}}`, [...document.querySelectorAll('#panel-{tab} :is(.check, select)')].filter((one) => one.checkVisibility()).length]"
+        );
+        assert_eq!(
+            browser.evaluate(&titled).await,
+            json!([true, 0]),
+            "{tab} in print"
+        );
         if !table.is_empty() {
             let kept = format!(
                 "(() => {{ const table = document.querySelector('#panel-{tab} table.{table}'); return [getComputedStyle(table.querySelector('thead')).display, getComputedStyle(table.querySelector('tbody tr')).display, getComputedStyle(table.closest('.card')).breakInside]; }})()"
@@ -113,6 +122,109 @@ async fn a_print_of_each_tab_is_complete() {
             .await;
         browser.resize(1280, 500).await;
     }
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// Regression test: the page said "no new data" and "sensors alive 0 of 6" after the end of a
+/// record, its sentences began with small letters, and its origin was called a lag.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_ended_record_is_called_ended_and_sentences_begin_with_capital_letters() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    browser
+        .open(&format!("{}#/structure/demo/events", demo.page))
+        .await;
+    browser.wait("the end of the demo", ENDED).await;
+    let badges = "[...document.querySelectorAll('.attention .badge')].filter((one) => !one.hidden).map((one) => one.textContent)";
+    assert_eq!(
+        browser.evaluate(badges).await,
+        json!(["▲ Alarm", "■ record has ended"])
+    );
+    let sensors = "document.querySelector('.facts-line a').textContent";
+    assert_eq!(browser.evaluate(sensors).await, "record has ended");
+    let small = "[...document.querySelectorAll('.events :is(strong, .why)[lang=en]')].map((one) => one.textContent).filter((text) => /^\\p{Ll}/u.test(text) && !text.startsWith('storey-'))";
+    assert_eq!(browser.evaluate(small).await, json!([]));
+    let capitals = "import('/words.js').then(({ capitalised }) => ['no decision on storey-2: the filter is still learning', 'the node sends again', 'not used: floor-1', 'it was silent for 14 s', 'storey-2 has lost 15 %', 'middle has lost 12 %', 'damping: the estimate is at its bound', 'deckA has lost 12 %'].map(capitalised))";
+    assert_eq!(
+        browser.evaluate(capitals).await,
+        json!([
+            "No decision on storey-2: the filter is still learning",
+            "The node sends again",
+            "Not used: floor-1",
+            "It was silent for 14 s",
+            // Names stay as they are.
+            "storey-2 has lost 15 %",
+            "middle has lost 12 %",
+            "damping: the estimate is at its bound",
+            "deckA has lost 12 %",
+        ])
+    );
+    browser.evaluate("location.hash = '#/'").await;
+    let card = "['sensors', 'lag'].map((fact) => document.querySelector(`.structure-card .fact-${fact}`)?.innerText)";
+    browser
+        .wait(
+            "the card",
+            "document.querySelector('.structure-card .fact-lag')",
+        )
+        .await;
+    assert_eq!(
+        browser.evaluate(card).await,
+        json!([
+            "Sensors alive\nrecord has ended",
+            "Origin\nreplayed or simulated"
+        ])
+    );
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// Regression test: the list of events contained every change between normal and undecided.
+#[tokio::test(flavor = "multi_thread")]
+async fn events_are_limited_to_a_kind_that_the_address_keeps() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(390, 844).await;
+    browser
+        .open(&format!("{}#/structure/demo/events", demo.page))
+        .await;
+    browser.wait("the end of the demo", ENDED).await;
+    let titles = "[...new Set([...document.querySelectorAll('.events strong')].map((one) => one.textContent))]";
+    let all = browser.evaluate(titles).await;
+    let all = all.as_array().unwrap().len();
+    let choose = |kind: &str| {
+        format!(
+            "(() => {{ const select = document.querySelector('#panel-events select'); select.value = '{kind}'; select.dispatchEvent(new Event('change')); return location.hash; }})()"
+        )
+    };
+    assert_eq!(
+        browser.evaluate(&choose("urgent")).await,
+        "#/structure/demo/events?show=urgent"
+    );
+    let urgent = json!(["▲ alert raised", "◆ alert pending"]);
+    assert_eq!(browser.evaluate(titles).await, urgent);
+    // The text of an event has the whole width of a phone.
+    let narrow = "[...document.querySelectorAll('.events tbody tr')].filter((row) => row.children[2].clientWidth < row.clientWidth - 2).length";
+    assert_eq!(browser.evaluate(narrow).await, 0);
+    browser.reload().await;
+    let kept = "document.querySelectorAll('.events tbody tr').length === 2";
+    browser.wait("the same events after a reload", kept).await;
+    assert_eq!(
+        browser.evaluate(&choose("others")).await,
+        "#/structure/demo/events?show=others"
+    );
+    let others = browser.evaluate(titles).await;
+    let others = others.as_array().unwrap();
+    assert!(!others.is_empty() && others.len() < all, "{others:?}");
+    let signs = "[...document.querySelectorAll('.events strong')].filter((one) => /alert /.test(one.textContent)).length";
+    assert_eq!(browser.evaluate(signs).await, 0);
+    assert_eq!(
+        browser.evaluate(&choose("all")).await,
+        "#/structure/demo/events"
+    );
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 

@@ -694,7 +694,7 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
     browser
         .wait(
             "the end of the demo",
-            "document.body.innerText.includes('no new data')",
+            "document.body.innerText.includes('record has ended')",
         )
         .await;
     browser.press("Home").await;

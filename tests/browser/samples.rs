@@ -55,7 +55,7 @@ async fn samples_around_an_event_are_saved_in_three_formats_with_equal_values() 
     browser
         .wait(
             "an event, and the end of the demo",
-            "document.querySelector('.events details') && document.body.innerText.includes('no new data')",
+            "document.querySelector('.events details') && document.body.innerText.includes('record has ended')",
         )
         .await;
     browser.evaluate(COLLECT).await;

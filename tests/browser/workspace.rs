@@ -194,6 +194,23 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
     );
     assert_eq!(browser.evaluate(&cut).await, 0, "names are cut off");
     browser.screenshot("forty-parameters").await;
+    // Regression test: nothing stated the time of the small plots, and a print distorted them.
+    let times = "/ From left to right: .+ UTC to .+ UTC\\.$/.test(document.getElementById('small-scale').textContent)";
+    assert_eq!(browser.evaluate(times).await, true);
+    browser
+        .evaluate("dispatchEvent(new Event('beforeprint'))")
+        .await;
+    browser.resize(680, 900).await;
+    let print = json!({"media": "print"});
+    browser.call("Emulation.setEmulatedMedia", print).await;
+    let distorted = format!(
+        "{shown}.map((one) => one.querySelector('canvas')).filter((one) => Math.abs(one.clientWidth * one.height / (one.clientHeight * one.width) - 1) > 0.05).length"
+    );
+    assert_eq!(browser.evaluate(&distorted).await, 0, "distorted in print");
+    browser
+        .call("Emulation.setEmulatedMedia", json!({"media": ""}))
+        .await;
+    browser.resize(1280, 900).await;
 
     browser
         .evaluate("const search = document.querySelector('#panel-parameters .search'); search.value = 'storey-4'; search.dispatchEvent(new Event('input'))")
@@ -272,6 +289,19 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
         json!([[500, 500], found, found])
     );
     browser.screenshot("many-structures").await;
+    // Regression test: the order was bridge-1, bridge-10, bridge-100.
+    let order = "(async () => {
+        const { OverviewPage } = await import('/overview.js');
+        const [one] = (await (await fetch('/api/structures')).json()).structures;
+        const page = new OverviewPage({ listen() {}, on: () => () => {} });
+        const of = (name, level) => ({ ...one, name, level });
+        page.show({ structures: [of('bridge-2', 'alarm'), of('bridge-1', 'normal'), of('bridge-10', 'normal'), of('bridge-3', 'normal')] });
+        return [...page.element.querySelectorAll('.structure-card')].map(({ dataset }) => dataset.name);
+      })()";
+    assert_eq!(
+        browser.evaluate(order).await,
+        json!(["bridge-2", "bridge-1", "bridge-3", "bridge-10"])
+    );
     // Regression test: the line of the last day fell below the name, and left a gap beside it.
     browser.resize(390, 844).await;
     let fallen = "[...document.querySelectorAll('.is-many .card-head')].filter((head) => {
@@ -302,7 +332,7 @@ async fn times_are_shown_in_utc_or_in_the_zone_of_the_browser() {
     browser
         .wait(
             "the end of the demo",
-            "document.body.innerText.includes('no new data')",
+            "document.body.innerText.includes('record has ended')",
         )
         .await;
     let stamp = format!("{facts}.match(/measured (\\S+ \\S+) UTC/)[1]");
@@ -342,7 +372,7 @@ async fn a_free_range_is_shown_and_exported() {
         &demo,
         "#/structure/demo/parameters",
         "the end of the demo",
-        "document.body.innerText.includes('no new data')",
+        "document.body.innerText.includes('record has ended')",
     )
     .await;
     browser
@@ -466,6 +496,12 @@ async fn axe_finds_no_obstacle_without_data_without_a_model_and_in_a_report_of_a
     assert_eq!(
         browser.evaluate(facts).await,
         json!(["sensors", "monitoring", "lag", "age", "alert"])
+    );
+    // Regression test: the modes were prose, which spoke of 20 epochs after the first one.
+    let mode = "import('/words.js').then(({ modeWords, COLUMNS }) => [modeWords({ mode: 'sway-1', time_ns: 1504.78e9, state: 'tracked', partner: null, presence: 1, machine: null, estimate: { frequency_hz: 1, frequency_std_hz: 0.01, damping: 0.02, damping_std: 0.001 } }), COLUMNS.modes.length])";
+    assert_eq!(
+        browser.evaluate(mode).await,
+        json!([{"level": "normal", "cells": ["sway-1", "✓\u{a0}tracked", "1.0000 Hz", "0.9804 to 1.0196 Hz", "2.00 % ± 0.10 %", "1504.78 s", "100 %"]}, 7])
     );
     browser.evaluate(&axe).await;
     for (hash, content) in [

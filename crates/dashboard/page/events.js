@@ -3,7 +3,14 @@
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { samplesExport } from "./samples.js";
-import { AROUND_S, COLUMNS, SERVICES, STATES, URGENCIES, place, setSentence, time } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, place, setSentence, time } from "./words.js";
+
+/** Kinds of events that the list can be limited to. */
+const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
+
+function isOfKind({ isAlert, isUrgent }, kind) {
+  return kind === "all" || (kind === "urgent" ? isUrgent : !isAlert);
+}
 
 export class EventsTab {
   key = "events";
@@ -13,18 +20,20 @@ export class EventsTab {
   constructor(page) {
     this.page = page;
     this.rows = h("tbody");
+    const option = ([value, text]) => h("option", { value }, text);
+    this.shown = h("select", { "aria-label": t("shown-events"), onchange: () => this.#changed() }, Object.entries(KINDS).map(option));
     this.none = h("p", { class: "group-text" }, t("none-since-the-dashboard-was-started"));
     const heads = h("tr", {}, COLUMNS.events.map((text) => (text ? h("th", { scope: "col" }, text) : h("td"))));
     this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("events") }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
     // The list is a page of its own, which prints well.
     const reports = h("p", { class: "group-text", hidden: !page.about.earthquakes }, h("a", { href: report(page.name, "index") }, t("earthquake-reports")));
-    this.element = h("section", { class: "card" }, h("h2", {}, t("events")), reports, this.none, this.table);
+    this.element = h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", {}, t("events")), this.shown), reports, this.none, this.table);
   }
 
   update({ events, changes }) {
     const ofAlert = (change) => {
       const { sign, word, level } = STATES[change.state];
-      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert-became", sign, word), why: change.why, level, parameter: change.parameter };
+      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert-became", sign, word), why: change.why, level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => {
       const path = report(this.page.name, subject);
@@ -37,9 +46,26 @@ export class EventsTab {
       return { key: `${subject}/${what}`, time_ns, about, what, why: isOfQuake ? why.slice(0, -path.length).trimEnd().replace(/:$/, "") : why, level, parameter: null, report: isReport ? subject : null };
     };
     const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
-    this.none.hidden = all.length > 0;
-    this.table.hidden = all.length === 0;
-    keyed(this.rows, all, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why }, event) => setSentence(why, event.why));
+    const shown = all.filter((event) => isOfKind(event, this.shown.value));
+    this.none.hidden = shown.length > 0;
+    setText(this.none, all.length > 0 ? t("no-event-of-this-kind") : t("none-since-the-dashboard-was-started"));
+    this.table.hidden = shown.length === 0;
+    keyed(this.rows, shown, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why }, event) => setSentence(why, event.why));
+  }
+
+  /** What only this tab states in the address. */
+  get query() {
+    return this.shown.value === "all" ? {} : { show: this.shown.value };
+  }
+
+  goto(_, parameters) {
+    this.shown.value = Object.hasOwn(KINDS, parameters.get("show")) ? parameters.get("show") : "all";
+    if (this.page.standing()) this.update(this.page.standing());
+  }
+
+  #changed() {
+    this.update(this.page.standing());
+    this.page.changed();
   }
 
   #make({ time_ns, about, what, level, parameter, report: made }) {
@@ -50,7 +76,7 @@ export class EventsTab {
     const around = () => [at - AROUND_S, at + AROUND_S];
     const samples = h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(this.page.name, around, `${about}, ${time(at)}`));
     const name = h("strong", { lang: parameter ? null : SERVICES });
-    setText(name, what);
+    setText(name, parameter ? what : capitalised(what));
     return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why };
   }
 }

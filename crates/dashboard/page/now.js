@@ -31,9 +31,12 @@ export class NowTab {
     this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
     this.noJudgement = h("p", { class: "group-text" }, t("the-service-judge-has-not-reported-yet"));
     const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, t("lasting-change")), this.noJudgement, this.judgements);
-    this.modes = h("ul", { class: "sensor-list", id: "modes" });
+    this.modes = h("tbody");
+    const modeHeads = h("tr", {}, COLUMNS.modes.map((text) => h("th", { scope: "col" }, text)));
+    const modeScroll = { class: "scroll", id: "modes", tabindex: "0", role: "region", "aria-label": t("natural-frequencies") };
+    this.modeTable = h("div", modeScroll, h("table", { class: "sensors" }, h("thead", {}, modeHeads), this.modes));
     this.noMode = h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
-    const natural = h("section", { class: "card", id: "natural-frequencies", hidden: about.modes.length === 0 }, h("h2", {}, t("natural-frequencies")), h("p", { class: "group-text" }, t("frequency-with-its-95-per-cent-interval")), this.noMode, this.modes);
+    const natural = h("section", { class: "card", id: "natural-frequencies", hidden: about.modes.length === 0 }, h("h2", {}, t("natural-frequencies")), h("p", { class: "group-text" }, t("frequency-with-its-95-per-cent-interval")), this.noMode, this.modeTable);
     this.frequencies = new PlotGroup("modes", t("natural-frequencies-over-time"), t("each-epoch-is-a-point-bands-50"));
     const isWide = this.drawing.isWide;
     // Without parts, the natural frequencies are beside the drawing.
@@ -100,10 +103,15 @@ export class NowTab {
 
   #showModes({ modes }) {
     this.noMode.hidden = modes.length > 0;
-    keyed(this.modes, modes, ({ mode }) => mode, () => ({ element: h("li") }), (part, mode) => {
-      const { level, text } = modeWords(mode);
-      part.element.dataset.level = level;
-      setText(part.element, text);
+    this.modeTable.hidden = modes.length === 0;
+    const make = () => {
+      const cells = COLUMNS.modes.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head })));
+      return { element: h("tr", {}, cells), cells };
+    };
+    keyed(this.modes, modes, ({ mode }) => mode, make, ({ element, cells }, mode) => {
+      const { level, cells: texts } = modeWords(mode);
+      element.dataset.level = level;
+      texts.forEach((text, column) => setText(cells[column], text));
     });
   }
 

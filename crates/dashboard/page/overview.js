@@ -6,7 +6,7 @@ import { language, t } from "./language.js";
 import { StructureMap } from "./map.js";
 import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
-import { LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, withMinus, wordOf } from "./words.js";
+import { HEALTH, LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, withMinus, wordOf } from "./words.js";
 
 /** Maximum number of sensors that a card names. */
 const MOST_SENSORS = 4;
@@ -33,7 +33,8 @@ export class OverviewPage {
     this.map.close();
   }
 
-  show({ structures }) {
+  show({ structures: all }) {
+    const structures = all.toSorted((a, b) => urgency(a) - urgency(b) || natural(a.name, b.name));
     const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
     const { level, text } = summary(structures, shaken);
     setText(this.summary, text);
@@ -58,6 +59,10 @@ export class OverviewPage {
       this.lines.show(card.trend, structure);
     });
   }
+}
+
+function urgency({ level }) {
+  return Object.keys(LEVELS).indexOf(level);
 }
 
 /** Returns the most urgent level with the sentence about all structures. `shaken` are those with a report. */
@@ -184,12 +189,13 @@ function updateCard({ element, fields, sign, word, sentence, now, seen, stale },
   const [named, further] = [sensors.troubled.slice(0, MOST_SENSORS), sensors.troubled.length - MOST_SENSORS];
   const more = further > 0 ? t("and-more", further) : "";
   const troubled = named.length > 0 ? t("not", named.join(", ") + more) : "";
-  setText(fields.sensors, t("share", sensors.alive, sensors.total) + troubled);
+  setText(fields.sensors, structure.ended ? t("record-has-ended") : t("share", sensors.alive, sensors.total) + troubled);
   fields.sensors.title = sensors.troubled.join(", ");
   // Natural frequencies alone have no worst part.
   for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.has_model;
   setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
   setText(fields.fit, fitWord(structure.fit));
+  setText(fields.lag.previousElementSibling, structure.replayed ? t("origin") : t("lag"));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
   setSentence(fields.age, structure.replayed ? t("age-measured", age(structure), time(structure.time_s)) : age(structure));
@@ -213,9 +219,12 @@ export function showAcknowledged(badge, { acknowledged, level }) {
 }
 
 /** Shows beside any other level that no new data arrives. */
-export function showStale(badge, { age_s, level }) {
+export function showStale(badge, { age_s, level, ended }) {
   badge.hidden = level === "stale" || level === "learning" || level === "undecided" || (age_s !== null && age_s < 3);
-  if (!badge.hidden) setText(badge, `${LEVELS.stale.sign} ${age_s === null ? t("badge-no-data-yet") : t("no-new-data-for", duration(age_s))}`);
+  if (badge.hidden) return;
+  badge.dataset.level = ended ? HEALTH.ended.level : "stale";
+  if (ended) setText(badge, `${HEALTH.ended.sign} ${HEALTH.ended.word}`);
+  else setText(badge, `${LEVELS.stale.sign} ${age_s === null ? t("badge-no-data-yet") : t("no-new-data-for", duration(age_s))}`);
 }
 
 /** Returns the age of a structure's data in words. */

@@ -4,7 +4,8 @@
 import { chart, rangeOf } from "./chart.js";
 import { h, setText } from "./dom.js";
 import { t } from "./language.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
+import { searchField } from "./search.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -16,8 +17,6 @@ const USUAL_S = 86400;
 const HALF_95 = 1.96;
 /** Time before the newest data from which a period counts as the present (s). */
 const PRESENT_S = 60;
-/** States of alerts that a report lists one by one. The others change often and need no action. */
-const LISTED = ["raised", "unconfirmed", "pending", "acknowledged", "cleared"];
 /** Periods that a button selects (s). */
 const USUAL = [[t("last-hour"), 3600], [t("last-day"), 86400], [t("last-week"), 7 * 86400], [t("last-month"), 30 * 86400]];
 
@@ -29,6 +28,7 @@ export class ReportPage {
     this.wanted = (parameters.get("structures") ?? "").split(",").filter(Boolean);
     this.period = spanOf(parameters, AROUND_S);
     this.list = h("div", { class: "choices" });
+    this.finder = h("div", { class: "tools" });
     this.from = h("input", { id: "report-from", required: true });
     this.to = h("input", { id: "report-to", required: true });
     this.event = h("select", { id: "report-event", onchange: () => this.#choose(Number(this.event.value) - AROUND_S, Number(this.event.value) + AROUND_S) }, h("option", { value: "" }, t("choose-an-event")));
@@ -39,7 +39,7 @@ export class ReportPage {
     this.form = h(
       "form",
       { class: "card report-form", hidden: true, onsubmit: (event) => this.#submit(event) },
-      h("fieldset", {}, h("legend", {}, t("structures")), this.list),
+      h("fieldset", {}, h("legend", {}, t("structures")), this.finder, this.list),
       h("fieldset", {}, h("legend", {}, t("period")), this.usual, h("div", { class: "free-range" }, h("label", { for: "report-from" }, t("from")), this.from, h("label", { for: "report-to" }, t("to")), this.to, h("button", { type: "submit" }, t("show"))), h("div", { class: "free-range" }, h("label", { for: "report-event" }, t("or-around-an-event")), this.event)),
       this.told,
       h("div", { class: "actions" }, this.print),
@@ -99,7 +99,13 @@ export class ReportPage {
 
   #fillForm(names, reported, from_s, to_s) {
     const choice = (name) => h("label", { class: "check" }, h("input", { type: "checkbox", value: name, checked: this.wanted.includes(name) }), name);
-    this.list.replaceChildren(...names.map(choice));
+    const choices = names.map(choice);
+    this.list.replaceChildren(...choices);
+    // Only many structures need a search and buttons that check all of the found ones.
+    const search = searchField(names.length, t("find-a-structure"), () => names.forEach((name, index) => (choices[index].hidden = !search.finds(name))));
+    const check = (isChecked) => choices.filter(({ hidden }) => !hidden).forEach((of) => (of.querySelector("input").checked = isChecked));
+    const button = (text, isChecked) => h("button", { type: "button", class: "small", onclick: () => check(isChecked) }, text);
+    if (search.element) this.finder.replaceChildren(search.element, h("span", { class: "ranges", role: "group", "aria-label": t("choose-structures") }, button(t("choose-all"), true), button(t("choose-none"), false)));
     const isRecord = isWithoutDate(to_s);
     for (const [field, seconds] of [[this.from, from_s], [this.to, to_s]]) {
       // A record without dates has times in seconds.
@@ -163,7 +169,7 @@ function eventsOf({ events }, changes) {
 
 function table(columns, rows, { label, className = "" }) {
   // A cell is a text, or a name with a text behind it.
-  const fill = (element, cell) => (typeof cell === "string" ? sentence(element, cell) : (element.append(h("strong", { lang: cell.lang ?? null }, cell.name), " ", sentence(h("span", { lang: SERVICES }), cell.text)), element));
+  const fill = (element, cell) => (typeof cell === "string" ? sentence(element, cell) : (element.append(sentence(h("strong", { lang: cell.lang ?? null }), cell.name), " ", sentence(h("span", { lang: SERVICES }), cell.text)), element));
   const row = ({ level, cells }) => h("tr", { "data-level": level }, cells.map((cell, column) => fill(column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": columns[column] }), cell)));
   return h("table", { class: `report-table ${className}`, "aria-label": label }, h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text)))), h("tbody", {}, rows.map(row)));
 }
@@ -198,7 +204,7 @@ function section({ about, overview, standing, changes }, series, period, shown) 
   const level = LEVELS[overview.level];
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
   const { sensors } = overview;
-  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
+  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
   const none = (text) => h("p", { class: "group-text" }, text);
   const events = (list, text) => (list.length === 0 ? none(text) : table(COLUMNS.events.slice(0, 3), list.map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
@@ -288,7 +294,7 @@ function figure(title, last, plot) {
 
 function modeList({ modes }) {
   if (modes.length === 0) return h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
-  return h("ul", { class: "sensor-list" }, modes.map((mode) => sentence(h("li"), modeWords(mode).text)));
+  return table(COLUMNS.modes, modes.map(modeWords), { label: t("natural-frequencies") });
 }
 
 function sensorTable({ drawing }, { sensors }) {

@@ -5,7 +5,7 @@ import { h, setText } from "./dom.js";
 import { t } from "./language.js";
 import { css } from "./plot.js";
 import { Points } from "./span.js";
-import { ratio, stateOf } from "./words.js";
+import { ratio, setSentence, stateOf, time } from "./words.js";
 
 /** Number of points of each parameter. A small plot is about as wide (px). */
 const POINTS = 150;
@@ -113,7 +113,8 @@ export class SmallPlots {
     const shared = stiff.length > 0 ? [Math.min(...stiff.map(([low]) => low)), Math.max(...stiff.map(([, high]) => high))] : null;
     const colours = Object.fromEntries(["--line-1", "--band-95", "--alarm", "--grid", "--ink-soft"].map((name) => [name, css(name)]));
     shown.forEach((part, index) => (isPrint || part.isSeen) && this.#paint(part, scale.isCommon && part.parameter.stiffness ? shared : ranges[index], colours));
-    setText(this.limits, scale.isCommon && shared ? t("common-scale-of-all-stiffnesses-to", ratio(shared[0]), ratio(shared[1])) : t("each-plot-has-its-own-scale"));
+    const limits = scale.isCommon && shared ? t("common-scale-of-all-stiffnesses-to", ratio(shared[0]), ratio(shared[1])) : t("each-plot-has-its-own-scale");
+    setSentence(this.limits, limits + t("time-of-the-small-plots", time(min), time(max)));
   }
 
   get #shown() {
@@ -177,9 +178,9 @@ export class SmallPlots {
     ctx.stroke();
     line(this.#threshold(part), colours["--alarm"], [4, 3]);
     if (height < LABELLED_FROM) return;
-    [ctx.fillStyle, ctx.font, ctx.textAlign] = [colours["--ink-soft"], "10px system-ui, sans-serif", "right"];
-    ctx.fillText(ratio(range[1]), width - 1, 9);
-    ctx.fillText(ratio(range[0]), width - 1, height - 2);
+    [ctx.fillStyle, ctx.font, ctx.textAlign] = [colours["--ink-soft"], "10px system-ui, sans-serif", "left"];
+    ctx.fillText(ratio(range[1]), 1, 9);
+    ctx.fillText(ratio(range[0]), 1, height - 2);
   }
 
   /** Chooses the number of columns with which the plots fit the window and fill it best. */

@@ -35,8 +35,10 @@ export class StructurePage {
     this.points = new Points(name, this.span);
     this.scale = new Scale();
     this.head = h("div", { class: "attention" });
+    /** Name of the tab, which a print shows behind the name of the structure. */
+    this.printed = h("span", { class: "printed" });
     this.body = h("div", {}, h("p", { class: "empty" }, t("loading")));
-    this.element = h("div", { class: "structure" }, h("h1", {}, h("a", { class: "crumb", href: "#/" }, t("structures")), " / ", name), this.head, this.body);
+    this.element = h("div", { class: "structure" }, h("h1", {}, h("span", { class: "way" }, h("a", { class: "crumb", href: "#/" }, t("structures")), " / "), name, this.printed), this.head, this.body);
     this.dialog = new AcknowledgeDialog();
     this.#leave = [
       connection.on("structure", ({ standing }) => this.#show(standing)),
@@ -143,6 +145,7 @@ export class StructurePage {
     // Before the plots fetch the past, so that nothing is missing between both.
     this.connection.want(Boolean(this.#current.hasWaveforms));
     this.bar.show(key);
+    setText(this.printed, ` – ${TABS[key]}`);
     this.ranges.element.hidden = !this.#current.hasSpan;
     this.#current.plots.forEach((plot) => plot.show());
     this.#current.restart?.();
@@ -177,7 +180,7 @@ export class StructurePage {
     showNow(parts.now, overview.now, overview.age_s);
     showAcknowledged(parts.seen, overview);
     showStale(parts.stale, overview);
-    const alive = t("sensors-alive-of", sensors.alive, sensors.total);
+    const alive = overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total);
     const facts = [t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), alive, ...(overview.has_model ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
     keyed(parts.facts, facts, (text) => facts.indexOf(text), (text) => ({ element: text === alive ? h("a", { href: sensorsOf(this.name) }) : h("span") }), ({ element }, text) => {
       setSentence(element, text);

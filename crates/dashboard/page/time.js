@@ -1,7 +1,7 @@
 // Times: the zone in which the page shows them, and all of their formats.
 
 import { unbroken, whole } from "./dom.js";
-import { fixed, inLanguage, t } from "./language.js";
+import { SERVICES, fixed, inLanguage, t } from "./language.js";
 
 /** Key of the chosen zone in local storage. */
 const ZONE_KEY = "spandrel-zone";
@@ -98,10 +98,25 @@ export function duration(seconds) {
 }
 
 /**
- * Shows a sentence with its times in the shown zone. The server writes times in UTC. No time and no
- * short name breaks at the end of a line.
+ * A small letter at the start of a sentence. The first word is a name if a verb or a colon follows it, or
+ * if it contains a digit or a hyphen. A pronoun is no name.
  */
-export function setSentence(element, text) {
+const SMALL_LETTER = /^(?:(?=(?:it|nothing|nobody|this|there)\b)|(?!\p{Ll}+(?:[-\d._/:\p{Lu}]| (?:is|has|had|seems|was)\b)))\p{Ll}/u;
+
+/**
+ * Returns a sentence of a service with a capital letter at its start. Services write a small letter,
+ * because they join sentences. Names stay as they are.
+ */
+export function capitalised(text) {
+  return text.replace(SMALL_LETTER, (letter) => letter.toUpperCase());
+}
+
+/**
+ * Shows a sentence with its times in the shown zone. The server writes times in UTC. No time and no
+ * short name breaks at the end of a line. A sentence of a service starts with a capital letter.
+ */
+export function setSentence(element, sentence) {
+  const text = element.lang === SERVICES ? capitalised(sentence) : sentence;
   const told = `${local} ${text}`;
   if (element.told === told) return;
   element.told = told;

@@ -27,6 +27,7 @@ export const COLUMNS = {
   sensors: [t("sensor"), t("quantity"), t("node"), t("state"), t("last-sample-used"), t("compared-with-the-others"), t("probability-of-a-fault"), t("sampling-instant"), t("clock"), t("rejected")],
   differences: [t("quantity"), t("first-mean"), t("second-mean"), t("difference"), t("95-per-cent-interval"), t("result")],
   levels: [t("sensor"), t("state"), t("samples-per-second"), t("mean"), t("rms"), t("peak"), t("last-sample")],
+  modes: [t("mode"), t("state"), t("frequency"), t("95-per-cent-interval"), t("damping-ratio"), t("epoch-until"), t("found-in-the-last-epochs")],
   events: [t("time"), t("about"), t("what-happened"), ""],
   services: [t("service"), t("state"), t("lag"), t("items-processed"), t("dropped-or-corrected")],
   delays: [t("loss-of-stiffness"), t("found-after-median"), t("found-within-30-days")],
@@ -69,6 +70,9 @@ export const STATES = {
   learning: { sign: "…", word: t("state-learning"), level: "learning" },
   normal: { sign: "✓", word: t("state-normal"), level: "normal" },
 };
+
+/** States of alerts that need attention, and that a report lists one by one. The others change often. */
+export const LISTED = ["raised", "unconfirmed", "pending", "acknowledged", "cleared"];
 
 /** Words of a report for how soon an inspector is needed, the most urgent first, with their levels. */
 export const URGENCIES = { "inspect first": "alarm", inspect: "warning", watch: "notice", "no action": "normal" };
@@ -282,18 +286,14 @@ export function conditionWords({ name, unit: of, value, age_s, stale, implausibl
   return { level: fault ? "warning" : "normal", text: t("ago", fault ? "▲" : "●", name, number(value), unit(of), duration(age_s), fault, by) };
 }
 
-/** Returns the level, sign and words of a declared mode. */
+/** Returns the level of a declared mode, and its words in the columns of the table of modes. */
 export function modeWords({ mode, time_ns: end, state, partner, estimate, presence, machine }) {
   const isSure = state === "tracked" && !machine;
   const level = isSure ? "normal" : state === "missing" && presence > 0.5 ? "learning" : "warning";
-  const parts = [`${LEVELS[level].sign} ${mode}:`];
-  if (estimate) {
-    const { frequency_hz: f, frequency_std_hz: std, damping, damping_std: dampingStd } = estimate;
-    parts.push(t("hz-damping", fixed(f, 4), fixed(f - 1.96 * std, 4), fixed(f + 1.96 * std, 4), percent(damping, 2), percent(dampingStd, 2)));
-  }
-  parts.push(t("in-the-epoch-to-found-in-of", wordOf(state), partner ? t("with", partner) : "", time(end / 1e9), percent(presence, 0)));
-  if (machine) parts.push(t("a-machine-runs-at-this-frequency"));
-  return { level, text: parts.join(" ") };
+  const { frequency_hz: f, frequency_std_hz: std, damping, damping_std: dampingStd } = estimate ?? {};
+  const found = estimate ? [`${fixed(f, 4)} Hz`, t("range-in-unit", fixed(f - 1.96 * std, 4), fixed(f + 1.96 * std, 4), "Hz"), `${percent(damping, 2)} ± ${percent(dampingStd, 2)}`] : ["–", "–", "–"];
+  const told = `${LEVELS[level].sign}\u00a0${wordOf(state)}${partner ? t("with", partner) : ""}${machine ? `. ${t("a-machine-runs-at-this-frequency")}` : ""}`;
+  return { level, cells: [mode, told, ...found, time(end / 1e9), percent(presence, 0)] };
 }
 
 /** Levels of the words of a judgement. The others say nothing about the structure. */

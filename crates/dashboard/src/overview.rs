@@ -59,6 +59,8 @@ pub(crate) struct Overview {
     pub(crate) lag_s: Option<f64>,
     /// Whether the samples come from a record or a simulation.
     pub(crate) replayed: bool,
+    /// Whether no more data arrive because the record or the simulation has ended.
+    pub(crate) ended: bool,
     /// Time since the last message with data (s).
     pub(crate) age_s: Option<f64>,
     /// Measurement time of the newest value (s since the Unix epoch, UTC).
@@ -221,6 +223,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
         worst,
         lag_s: store.displayed_lag(lag_s(store)),
         replayed: store.state.is_replayed(),
+        ended: has_ended(store),
         age_s: store.state.silence().map(|silence| silence.as_secs_f64()),
         time_s: store.state.time_ns.map(|time_ns| time_ns as f64 / 1e9),
         sensors,
@@ -270,6 +273,14 @@ fn lag_s(store: &Store) -> Option<f64> {
     leading.max_by_key(|(at, _)| *at)?.1
 }
 
+/// Returns `true` if no more data arrive because the record or the simulation has ended.
+fn has_ended(store: &Store) -> bool {
+    let mut seen = store.state.seen.iter();
+    let was_there = seen.any(|(service, _)| *service == Service::Sensor);
+    let is_there = store.state.has(Service::Sensor);
+    store.is_stale() && store.state.is_replayed() && was_there && !is_there
+}
+
 fn sensor_count(store: &Store) -> SensorCount {
     let states = sensor_states(store);
     let troubled: Vec<&SensorState<'_>> = states
@@ -303,7 +314,10 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     let told = || concerns.iter().map(|(_, sentence)| sentence.as_str());
     if store.is_stale() {
         // Open concerns remain when the data stops.
-        let as_it_was = "no new data; this page shows the last state";
+        let as_it_was = match has_ended(store) {
+            true => "the record has ended; this page shows its last state",
+            false => "no new data; this page shows the last state",
+        };
         return (
             Level::Stale,
             told().chain([as_it_was]).collect::<Vec<_>>().join("; "),

@@ -559,6 +559,29 @@ fn stated_quality_of_a_clock_is_shown_and_its_sensor_is_alive() {
     assert_eq!(lines.next(), None, "other nodes state no quality");
 }
 
+/// Regression test: the page said "no new data" after the end of a record.
+#[test]
+fn the_end_of_a_record_is_told() {
+    let found = |pace: Pace, sensors: &[(Service, &str)]| {
+        let mut store = demo();
+        store.handle(status(Service::Ingest, CLOCK_NS, Some(pace)));
+        store.handle(present(&[(Service::Sensor, "floor-1")]));
+        hear(&mut store, "storey-1", CLOCK_NS, 1.0, 0.001);
+        assert!(!overview(&store).ended, "its data are new");
+        store.handle(present(sensors));
+        store.handle(at(60.0));
+        let found = overview(&store);
+        assert_eq!(found.level, Level::Stale);
+        (found.ended, found.sentence)
+    };
+    let ended = "the record has ended; this page shows its last state".to_owned();
+    assert_eq!(found(Pace::Replayed, &[]), (true, ended));
+    let silent = "no new data; this page shows the last state".to_owned();
+    let sensor = [(Service::Sensor, "floor-1")];
+    assert_eq!(found(Pace::Replayed, &sensor), (false, silent.clone()));
+    assert_eq!(found(Pace::Live, &[]), (false, silent));
+}
+
 /// A wall clock time.
 const CLOCK_NS: i64 = 1_795_000_000_000_000_000;
 
