@@ -236,7 +236,7 @@ fn few_sensors_for_many_parts_are_a_note() {
     };
     assert_eq!(found(DEMO), None);
     let mut nodes = DEMO.split("[[node]]");
-    let without: String = [nodes.next(), nodes.next(), nodes.next_back()]
+    let without: String = [nodes.next(), nodes.next(), nodes.last()]
         .into_iter()
         .flatten()
         .collect::<Vec<_>>()
