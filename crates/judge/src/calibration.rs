@@ -6,8 +6,8 @@
 //! 1217–1241, for the block bootstrap.
 
 use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
-use crate::detector::{HELD_DAYS, SHORTEST_STEP_DAYS, SIZES};
-use crate::model::{Columns, Structure};
+use crate::detector::{HELD_DAYS, SHORTEST_STEP_DAYS, SIZES, StepEstimate};
+use crate::model::{Columns, Deviation, Structure};
 use crate::regression::Posterior;
 use nalgebra::DVector;
 use rand_chacha::ChaCha8Rng;
@@ -101,6 +101,8 @@ pub(crate) struct Calibration<'r> {
     pub(crate) steps: &'r Steps,
     /// Change of ln(value) of the loss that matters, positive.
     pub(crate) unit: f64,
+    /// Deviation that a step must exceed.
+    pub(crate) deviation: Deviation,
     /// Seed of the blocks.
     pub(crate) seed: u64,
 }
@@ -140,6 +142,11 @@ impl Calibration<'_> {
             delays: delays.to_vec(),
         };
         (threshold, performance)
+    }
+
+    /// Returns `true` if a step is a loss that is large enough to be raised on a day.
+    fn raises(&self, step: StepEstimate, day: usize) -> bool {
+        step.size < 0.0 && step.matters(day as i64, self.unit, self.deviation)
     }
 }
 
@@ -195,6 +202,8 @@ impl<'c> Years<'c> {
         let residuals = self.calibration.residuals;
         let remainders = &self.calibration.steps.remainders;
         let mut place = 0;
+        // Σ h²/scale² and Σ h z/scale of the step, as in the detector.
+        let (mut information, mut moment) = (0.0, 0.0);
         for day in 0..DAYS {
             if day % BLOCK == 0 {
                 place = (self.random.next_u64() % residuals.len().max(1) as u64) as usize;
@@ -203,6 +212,8 @@ impl<'c> Years<'c> {
             let remainder = day.checked_sub(ONSET).map_or(0.0, |age| remainders[age]);
             let shifted = drawn.copied().unwrap_or(0.0) - remainder * shift;
             let z = shifted.clamp(-CLIP, CLIP);
+            information += remainder * remainder;
+            moment += remainder * shifted;
             let mut total = 0.0;
             for (sum, (g, kappa)) in evidence.iter_mut().zip(self.sizes) {
                 let begun = *sum + 1.0 / SIZES.len() as f64;
@@ -211,7 +222,13 @@ impl<'c> Years<'c> {
             }
             let ln_total = f64::ln(total);
             largest = largest.max(ln_total);
-            if shift > 0.0 && day >= ONSET && ln_total > threshold {
+            let step = StepEstimate {
+                day: ONSET as i64,
+                size: moment / information,
+                std: f64::sqrt(information).recip(),
+            };
+            let shows = shift > 0.0 && day >= ONSET && ln_total > threshold;
+            if shows && self.calibration.raises(step, day) {
                 let delay = (day - ONSET + 1) as u32;
                 let shortest = SHORTEST_STEP_DAYS + HELD_DAYS - 1;
                 return (largest, Some((delay + HELD_DAYS - 1).max(shortest)));

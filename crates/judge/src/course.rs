@@ -213,6 +213,7 @@ impl Judging {
                 share: 1.0 - columns.zone(&row),
                 ln_threshold: self.reference.ln_threshold,
                 cumulant,
+                deviation: self.reference.deviation(),
             };
             self.detector.judge(day.number, &row.x, evidence);
             self.cusum = cusum::next(self.cusum, z.clamp(-3.0, 3.0));
@@ -293,14 +294,9 @@ impl Judging {
         per_stiffness: f64,
         known: Option<Finding>,
     ) -> Option<Finding> {
-        let Reference {
-            columns, structure, ..
-        } = &self.reference;
+        let deviation = self.reference.deviation();
         let change = |step: StepEstimate, found_day| {
-            // A deviation that began with the step cannot be told from it.
-            let std = step
-                .std
-                .hypot(columns.deviation(structure, frame.day - step.day + 1));
+            let std = step.std_with(deviation, frame.day);
             Change {
                 found_day,
                 since_day: step.day,

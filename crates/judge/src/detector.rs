@@ -16,7 +16,7 @@
 //! Source: Willsky & Jones (1976), IEEE Transactions on Automatic Control 21, 108–112.
 
 use crate::cumulant::{CLIP, Cumulant, LARGEST_SHIFT};
-use crate::model::{Columns, Structure};
+use crate::model::{Columns, Deviation, Structure};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +33,9 @@ pub(crate) const HELD_DAYS: u32 = 3;
 
 /// Smallest step that is raised, as a share of the loss that matters.
 const SMALLEST_STEP: f64 = 0.7;
+/// A step is raised if it differs from zero with a probability of 0.99: this quantile of the normal
+/// distribution.
+const CERTAIN: f64 = 2.326;
 
 /// A day on which a step may have begun.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -62,6 +65,8 @@ pub(crate) struct Evidence<'d> {
     pub(crate) ln_threshold: f64,
     /// κ of the quantity.
     pub(crate) cumulant: &'d Cumulant,
+    /// Deviation that cannot be distinguished from a step.
+    pub(crate) deviation: Deviation,
 }
 
 /// Size of the most credible step.
@@ -71,6 +76,23 @@ pub(crate) struct StepEstimate {
     /// Change of ln(value), and its standard deviation.
     pub(crate) size: f64,
     pub(crate) std: f64,
+}
+
+impl StepEstimate {
+    /// Returns the standard deviation of the size on a day. A deviation that began with the step cannot
+    /// be distinguished from it.
+    pub(crate) fn std_with(self, deviation: Deviation, day: i64) -> f64 {
+        self.std.hypot(deviation.of_mean(day - self.day + 1))
+    }
+
+    /// Returns `true` if the step is large enough to be raised on a day. `unit` is that of the detector.
+    ///
+    /// A precise quantity must not raise a change that does not matter. A quantity that wanders must not
+    /// raise a change like those of its commissioning.
+    pub(crate) fn matters(self, day: i64, unit: f64, deviation: Deviation) -> bool {
+        let size = self.size.abs();
+        size >= SMALLEST_STEP * unit && size >= CERTAIN * self.std_with(deviation, day)
+    }
 }
 
 /// Detector of a lasting loss and of a lasting gain.
@@ -121,8 +143,13 @@ impl Detector {
             candidate.judged_days += 1;
         }
         let counted = |holds: bool, held: u32| if holds { held.saturating_add(1) } else { 0 };
-        self.held_loss = counted(self.shows_loss(data.ln_threshold), self.held_loss);
-        self.held_gain = counted(self.shows_gain(data.ln_threshold), self.held_gain);
+        let matters = |step: Option<StepEstimate>| {
+            step.is_some_and(|step| step.matters(day, unit, data.deviation))
+        };
+        let loss = self.ln_loss() >= data.ln_threshold && matters(self.loss());
+        let gain = self.ln_gain() >= data.ln_threshold && matters(self.gain());
+        self.held_loss = counted(loss, self.held_loss);
+        self.held_gain = counted(gain, self.held_gain);
         if self.candidates.len() > MOST_CANDIDATES {
             self.drop_weakest();
         }
@@ -165,19 +192,6 @@ impl Detector {
     /// Returns `true` if a gain of the same size has begun.
     pub(crate) fn finds_gain(&self) -> bool {
         self.held_gain >= HELD_DAYS
-    }
-
-    /// Returns `true` if R has reached the threshold, and the most likely step is large enough.
-    ///
-    /// The second condition keeps a precise quantity from raising a change that does not matter.
-    fn shows_loss(&self, ln_threshold: f64) -> bool {
-        let matters = |step: StepEstimate| step.size <= -SMALLEST_STEP * self.unit;
-        self.ln_loss() >= ln_threshold && self.loss().is_some_and(matters)
-    }
-
-    fn shows_gain(&self, ln_threshold: f64) -> bool {
-        let matters = |step: StepEstimate| step.size >= SMALLEST_STEP * self.unit;
-        self.ln_gain() >= ln_threshold && self.gain().is_some_and(matters)
     }
 
     /// Returns the most likely step downwards.
@@ -259,4 +273,40 @@ impl Candidate {
 
 fn largest(values: &[f64; SIZES.len()]) -> f64 {
     values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const UNIT: f64 = 0.01;
+
+    /// Judges 20 days with a loss of three units, under a deviation of `std`.
+    fn finds(std: f64) -> bool {
+        const SCALE: f64 = 0.005;
+        let cumulant = Cumulant::new(&[-1.0, 0.5, 1.0]);
+        let mut detector = Detector::new(UNIT);
+        for day in 0..20 {
+            let evidence = Evidence {
+                z: -3.0 * UNIT / SCALE,
+                scale: SCALE,
+                share: 1.0,
+                ln_threshold: 9.0,
+                cumulant: &cumulant,
+                deviation: Deviation {
+                    std,
+                    memory_days: 40.0,
+                },
+            };
+            detector.judge(day, &DVector::zeros(1), evidence);
+        }
+        detector.finds_loss()
+    }
+
+    #[test]
+    fn a_step_is_raised_only_if_it_exceeds_the_deviation() {
+        assert!(finds(0.0));
+        assert!(finds(UNIT)); // three standard deviations
+        assert!(!finds(2.0 * UNIT));
+    }
 }

@@ -56,6 +56,22 @@ pub(crate) struct Structure {
     pub(crate) usual_epochs: f64,
 }
 
+/// u: changes of ln(value) without a measured cause. They can begin at any time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Deviation {
+    /// Standard deviation of ln(value).
+    pub(crate) std: f64,
+    pub(crate) memory_days: f64,
+}
+
+impl Deviation {
+    /// Returns the standard deviation of the mean over a number of days.
+    pub(crate) fn of_mean(self, days: i64) -> f64 {
+        let share = 2.0 * self.memory_days / days.max(1) as f64;
+        self.std * share.min(1.0).sqrt()
+    }
+}
+
 /// Columns of the regression of a quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Columns {
@@ -119,10 +135,12 @@ impl Columns {
         sigma.hypot(self.size * structure.deviation)
     }
 
-    /// Returns the standard deviation of the mean of the deviation over a number of days.
-    pub(crate) fn deviation(&self, structure: &Structure, days: i64) -> f64 {
-        let share = 2.0 * structure.memory_days / days.max(1) as f64;
-        self.size * structure.deviation * share.min(1.0).sqrt()
+    /// Returns the deviation u. `least` is its smallest standard deviation, in ln(frequency).
+    pub(crate) fn deviation(&self, structure: &Structure, least: f64) -> Deviation {
+        Deviation {
+            std: self.size * structure.deviation.max(least),
+            memory_days: structure.memory_days,
+        }
     }
 
     /// Returns the correlation of two successive days.

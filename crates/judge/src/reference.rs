@@ -6,7 +6,7 @@ use crate::cumulant::Cumulant;
 use crate::day::Day;
 use crate::extremes::Extremes;
 use crate::frost::KNOTS;
-use crate::model::{Columns, Row, Structure};
+use crate::model::{Columns, DEVIATIONS, Deviation, Row, Structure};
 use crate::regression::{Posterior, Series, Taught, weight};
 use crate::settings::{Quantity, Season, Settings};
 use nalgebra::DVector;
@@ -173,6 +173,7 @@ impl Reference {
             cumulant: &cumulant,
             steps: &Steps::new(&columns, &structure, &posterior, &conditions),
             unit: -quantity.kind.per_stiffness() * (1.0 - settings.loss).ln(),
+            deviation: deviation(&columns, &structure, spans),
             seed,
         };
         let share = settings.false_alarms_per_year / settings.quantities.len() as f64;
@@ -198,6 +199,12 @@ impl Reference {
             reference.remember(day);
         }
         Ok(reference)
+    }
+
+    /// Returns the deviation u that a step must exceed.
+    pub(crate) fn deviation(&self) -> Deviation {
+        let days = self.to_day - self.from_day + 1;
+        deviation(&self.columns, &self.structure, days)
     }
 
     /// Returns the row of a day. `before` is the day before it.
@@ -340,10 +347,27 @@ const YEAR_DAYS: i64 = 330;
 /// Share of the days in their interval.
 const INTERVAL: f64 = 0.95;
 
+/// Smallest standard deviation of u in ln(frequency) that a step must exceed, after a commissioning that
+/// does not contain all seasons. Other seasons can bring larger deviations.
+const DEVIATION_OF_OTHER_SEASONS: f64 = DEVIATIONS[1];
+
+/// Returns the deviation u that a step must exceed, after a commissioning of a number of days.
+fn deviation(columns: &Columns, structure: &Structure, days: i64) -> Deviation {
+    let least = match days < YEAR_DAYS {
+        true => DEVIATION_OF_OTHER_SEASONS,
+        false => 0.0,
+    };
+    columns.deviation(structure, least)
+}
+
 /// Returns half of the 95 % interval of a day, in units of its scatter.
 ///
 /// It is the quantile that holds 95 % of the days if they contain all seasons. Otherwise it is that
 /// of the model.
+///
+/// The quantile of n days is exceeded by more than its share of further days, by a factor of 1 + 1/n for
+/// independent days. Successive errors are correlated by ρ, and their squares by ρ². The days count
+/// as n (1 − ρ²)/(1 + ρ²) independent ones.
 ///
 /// Source: the split conformal interval of Lei et al. (2018), Journal of the American Statistical
 /// Association 113, 1094–1111.
@@ -367,7 +391,10 @@ fn quantile(series: Series<'_>, sigma: f64) -> f64 {
         }
     });
     errors.sort_by(f64::total_cmp);
-    let place = (INTERVAL * (errors.len() as f64 + 1.0)).ceil() as usize;
+    let n = errors.len() as f64;
+    let of_squares = columns.correlation(structure, sigma).powi(2);
+    let independent = n * (1.0 - of_squares) / (1.0 + of_squares);
+    let place = (INTERVAL * (1.0 + 1.0 / independent) * n).ceil() as usize;
     let found = errors.get(place.saturating_sub(1)).or(errors.last());
     found.copied().unwrap_or(of_model)
 }
