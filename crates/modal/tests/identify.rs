@@ -88,6 +88,57 @@ fn deviations_are_never_below_the_law() {
     }
 }
 
+/// The jackknife identifies the epoch without each of its blocks. It shares the covariances with the
+/// perturbation of first order, and nothing else.
+#[test]
+fn deviations_of_the_perturbation_agree_with_a_jackknife() {
+    let (chain, mut settings) = three_storeys();
+    settings.highest_order = 6; // that of the chain: higher orders offer a choice of poles
+    let mut sums = [[0.0; 2]; 2]; // frequency, damping ratio: perturbation, jackknife
+    for seed in 21..24 {
+        let frames = chain.record(50.0, 620.0, seed);
+        let mut stream = ModalStream::new(&settings).unwrap();
+        let push = |frame: &Vec<f64>| stream.push(frame).unwrap();
+        let epoch = frames.iter().find_map(push).unwrap();
+        let whole = identify(&epoch).unwrap();
+        let rest: Vec<Identified> = (0..epoch.covariances.blocks())
+            .map(|block| {
+                let mut epoch = epoch.clone();
+                epoch.covariances = epoch.covariances.without_block(block);
+                identify(&epoch).unwrap()
+            })
+            .collect();
+        let n = rest.len() as f64;
+        for truth in chain.frequencies_hz() {
+            let found = nearest(&whole.modes, truth);
+            let stated = [found.frequency_std_hz / truth, found.damping_std];
+            let without = |of: fn(&Mode) -> f64| -> f64 {
+                let values: Vec<f64> = rest
+                    .iter()
+                    .map(|rest| of(nearest(&rest.modes, truth)))
+                    .collect();
+                let mean = values.iter().sum::<f64>() / n;
+                let squares = values.iter().map(|value| (value - mean).powi(2));
+                ((n - 1.0) / n * squares.sum::<f64>()).sqrt()
+            };
+            let jackknife = [
+                without(|mode| mode.frequency_hz) / truth,
+                without(|mode| mode.damping),
+            ];
+            println!("seed {seed}, {truth:.2} Hz: {stated:.5?}, jackknife {jackknife:.5?}");
+            for (sum, pair) in sums.iter_mut().zip(stated.iter().zip(jackknife)) {
+                sum[0] += pair.0 * pair.0;
+                sum[1] += pair.1 * pair.1;
+            }
+        }
+    }
+    for [perturbation, jackknife] in sums {
+        let ratio = f64::sqrt(perturbation / jackknife);
+        println!("{ratio:.3}");
+        assert!((0.95..=1.05).contains(&ratio), "{ratio}");
+    }
+}
+
 #[test]
 fn sine_of_a_machine_is_not_a_mode() {
     let (chain, settings) = three_storeys();
