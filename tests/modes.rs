@@ -197,7 +197,14 @@ fn wrong_recordings_and_options_are_bad_input() {
         .unwrap();
     }
     let unequal = unequal.display().to_string();
-    let cases: [(&[&str], &str); 11] = [
+    let timeless = folder.path().join("timeless.csv");
+    std::fs::write(&timeless, "a,b\n1,2\n2,4\n3,5\n").unwrap();
+    let timeless = timeless.display().to_string();
+    let cases: [(&[&str], &str); 12] = [
+        (
+            &[&timeless],
+            "timeless.csv: states no sampling rate for channel `a`; state it with --rate HZ",
+        ),
         (&[&short], "is 10.00 s long, must be at least"),
         (&[&good, "--epoch", "10"], "must be at least"),
         (&[&good, "--epoch", "900"], "no epoch of 900.0 s"),
@@ -264,6 +271,59 @@ fn modes_of_the_z24_bridge_are_the_published_ones() {
             );
         }
     }
+}
+
+/// Returns the first natural frequency of the first two epochs of a record of the Z24 bridge, and its
+/// standard deviation (Hz).
+fn first_frequencies(folder: &Path, name: &str) -> Option<[[f64; 2]; 2]> {
+    let record = records_or_skip(&format!("z24-damage-test/{name}.csv.gz"))?;
+    let csv = folder.join(format!("{name}.csv")).display().to_string();
+    let record = record.display().to_string();
+    done(&[
+        &record, "--rate", "100", "--epoch", "160", "--band", "2..20", "--csv", &csv,
+    ]);
+    let text = std::fs::read_to_string(csv).unwrap();
+    let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<_>>());
+    let head = rows.next().unwrap();
+    let column = |name: &str| head.iter().position(|head| *head == name).unwrap();
+    // The mode with the lowest frequency of each epoch.
+    let (mode, frequency, std) = (
+        column("mode"),
+        column("frequency [Hz]"),
+        column("frequency std [Hz]"),
+    );
+    let mut first = rows.filter(|row| row[mode] == "1");
+    let mut next = || {
+        let row = first.next().expect("an epoch with the mode");
+        [frequency, std].map(|column| row[column].parse().unwrap())
+    };
+    Some([next(), next()])
+}
+
+/// One or two epochs after the pier was lowered, the loss of stiffness exceeds 3 % with a probability
+/// of 0.99. Between two epochs of one state, it does not.
+#[test]
+fn two_epochs_tell_the_lowered_pier_of_the_z24_bridge() {
+    const QUANTILE: f64 = 2.326;
+    let folder = tempfile::tempdir().unwrap();
+    let sound = first_frequencies(folder.path(), "ref1-setup1");
+    let lowered = first_frequencies(folder.path(), "settle80mm-setup1");
+    let (Some(sound), Some(lowered)) = (sound, lowered) else {
+        return;
+    };
+    let exceeds = |before: [f64; 2], after: [f64; 2]| {
+        let change = 2.0 * (after[0] / before[0]).ln();
+        let std = 2.0 * (before[1] / before[0]).hypot(after[1] / after[0]);
+        println!("{before:?}, {after:?}: {change:.4}, standard deviation {std:.4}");
+        change + QUANTILE * std < f64::ln(0.97)
+    };
+    for before in &sound {
+        for after in &lowered {
+            assert!(exceeds(*before, *after));
+        }
+    }
+    assert!(!exceeds(sound[0], sound[1]));
+    assert!(!exceeds(lowered[0], lowered[1]));
 }
 
 #[test]

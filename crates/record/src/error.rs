@@ -59,7 +59,7 @@ pub enum RecordError {
     },
     /// The file does not state the sampling rate of a channel.
     #[error(
-        "{}: no sampling rate for channel `{channel}`; declare one",
+        "{}: states no sampling rate for channel `{channel}`; state it with --rate HZ",
         path.display()
     )]
     NoSamplingRate {
