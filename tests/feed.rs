@@ -3,7 +3,7 @@
 //!
 //! Each test contains a stand-in for an instrument, which speaks its real protocol.
 
-use crate::support::{HOUSE, Process, Site, spandrel, within};
+use crate::support::{HOUSE, Process, Site, skip, spandrel, within};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use spandrel_bus::{
@@ -488,6 +488,59 @@ async fn gaps_of_standard_input_are_reported_to_the_sample_when_the_feed_is_kill
     };
     let feed = survive_kills(20_065, logger, start, frames, &events).await;
     feed.wait().expect_code(0); // its input has ended
+}
+
+/// Stands in for a board at a serial port: prints the name of a pseudo-terminal, and writes its own
+/// input to that terminal.
+const BOARD: &str = "import os, pty\n\
+    port, terminal = pty.openpty()\n\
+    print(os.ttyname(terminal), flush=True)\n\
+    while text := os.read(0, 4096): os.write(port, text)\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn lines_of_a_serial_port_arrive_with_the_commands_of_the_page() {
+    let has_python = std::process::Command::new("python3").arg("-V").output();
+    if !has_python.is_ok_and(|output| output.status.success()) {
+        return skip("python3 is not installed");
+    }
+    let site = Site::with(HOUSE);
+    let _ingest = start_ingest(&site);
+    let bus = site.join().await;
+    let t0_ns = ago(600);
+    let mut frames = Frames::follow(&bus, &site, t0_ns).await;
+    let configuration = configure(&site, &of_lines("kind = \"stdin\""));
+    let mut board = std::process::Command::new("python3");
+    let (board, mut lines) = Process::start_with_pipe(board.args(["-c", BOARD]));
+    board.wait_for_output("the name of the port", |said| said.ends_with('\n'));
+
+    let page = include_str!("../docs/instruments.md");
+    let (_, section) = page.split_once("## A serial port").unwrap();
+    let (_, script) = section.split_once("```sh\n").unwrap();
+    let (script, _) = script.split_once("```").unwrap();
+    let script = script
+        .replace("/dev/ttyUSB0", board.output().trim())
+        .replace("spandrel feed --config serial.toml", "exec \"$0\" \"$@\"");
+    assert!(
+        script.contains("stty") && script.contains("exec"),
+        "{script}"
+    );
+    let feed = site.connecting("feed");
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-ec", &script]).arg(feed.get_program());
+    shell
+        .args(feed.get_args())
+        .arg("--config")
+        .arg(configuration);
+    let feed = Process::start(&mut shell);
+    feed.wait_for_log("feed ready");
+
+    let text: String = (0..1000).map(|number| line(t0_ns, number)).collect();
+    lines.write_all(text.as_bytes()).unwrap();
+    frames.up_to(999).await;
+    assert_eq!(frames.missing(), [0, 0]);
+    // The board is unplugged.
+    drop(lines);
+    feed.wait().expect_code(0);
 }
 
 #[tokio::test(flavor = "multi_thread")]

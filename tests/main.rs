@@ -33,6 +33,7 @@ mod faults;
 mod feed;
 mod history;
 mod independent;
+mod instruments;
 mod judge;
 mod judging;
 mod memory;
