@@ -498,3 +498,52 @@ fn a_stop_while_structures_start_ends_the_process() {
     let length = systemd.recv(&mut told).unwrap();
     assert_eq!(told[..length].trim_ascii(), b"STOPPING=1");
 }
+
+/// Regression: the second process put the checkpoints of the first aside before it failed.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_process_in_the_same_state_folder_ends_and_refuses_no_checkpoint() {
+    let site = Site::with(&two_storeys(""));
+    let state = site.folder().join("state");
+    let file = site.folder().join("config.toml");
+    let text = format!(
+        "[state]\nfolder = \"{}\"\ncheckpoint-s = 0.05\n",
+        state.display()
+    );
+    std::fs::write(&file, text).unwrap();
+    let run = |site: &Site| {
+        let mut command = site.listening("run");
+        Process::start(command.arg("--config").arg(&file))
+    };
+    let first = run(&site);
+    first.wait_for_log("ready structures=1");
+    let record = site.simulate(5.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    let keys = site.keys();
+    let folder = state
+        .join(keys.root().as_str())
+        .join(site.structure().name())
+        .join("checkpoints");
+    let bus = site.join().await;
+    let mut done = bus
+        .watch_progress(keys.progress(Service::Identify))
+        .await
+        .unwrap();
+    within("estimates", done.wait_for(|progress| progress.done >= 400)).await;
+    assert!(checkpoints(&folder, "identify-") > 0);
+    let other = two_storeys("").replace("ratio = 0.02", "ratio = 0.03");
+    assert_ne!(other, two_storeys(""));
+    let other = Site::with(&other).rooted(keys.root().as_str());
+    run(&other)
+        .wait()
+        .expect_code(2)
+        .expect_told(&["another process is using the frame log"]);
+    let files = std::fs::read_dir(&folder).unwrap();
+    let names: Vec<String> = files
+        .map(|file| file.unwrap().file_name().into_string().unwrap())
+        .collect();
+    assert!(
+        !names.iter().any(|name| name.ends_with(".refused")),
+        "{names:?}"
+    );
+    first.stop().expect_code(0);
+}

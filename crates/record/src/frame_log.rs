@@ -531,6 +531,17 @@ pub(crate) fn is_segment(file_name: &str) -> bool {
     SegmentName::parse(file_name).is_some()
 }
 
+/// Checks that no process has the log of a folder open. The folder may be missing.
+///
+/// # Errors
+/// Another process has it open, or the lock file cannot be opened.
+pub fn check_unused(folder: &Path) -> Result<(), RecordError> {
+    match folder.is_dir() {
+        true => Note::lock(folder).map(drop),
+        false => Ok(()),
+    }
+}
+
 /// Returns `true` if a file name is that of the lock file, which is not part of the recording.
 pub(crate) fn is_lock(file_name: &str) -> bool {
     file_name == note::LOCK

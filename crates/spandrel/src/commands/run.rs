@@ -17,6 +17,7 @@ use spandrel_dashboard::PageSettings;
 use spandrel_feed::{FeedConfig, FeedError, WhenEnded};
 use spandrel_history::Address;
 use spandrel_identify::Precedence;
+use spandrel_record::frame_log::check_unused;
 use spandrel_structure::{Severity, Structure};
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
@@ -320,6 +321,14 @@ impl Plan {
             state,
             feed,
         } = self;
+        if let Some(state) = state
+            && services.has(Service::Ingest)
+        {
+            // A second process would replace the checkpoints of the first before it fails.
+            for watched in watched {
+                check_unused(&state.recording(&watched.keys).folder)?;
+            }
+        }
         let mut running = Running::new(bus, watched, state.as_ref());
         if let Some(served) = served {
             let cannot_acknowledge = cannot_acknowledge(bus, &settings.bus).await?;
