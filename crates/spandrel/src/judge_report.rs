@@ -186,7 +186,7 @@ fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
     }
     let _ = writeln!(
         text,
-        "  false alarms per year: {} promised, {} achieved",
+        "  false alarms per year: {} promised, {} in simulated years",
         rate(performance.promised_per_year),
         rate(performance.achieved_per_year)
     );
