@@ -177,10 +177,10 @@ async fn events_of_an_earthquake_have_a_name_a_level_and_a_button() {
     assert_eq!(links(&shown[0][3]), [false, true]);
     assert_eq!(
         words(1),
-        json!(["learning", "earthquake", "a report follows"])
+        json!(["learning", "earthquake", "A report follows"])
     );
-    assert_eq!(words(2), json!(["learning", "quake", "see the manual"]));
-    assert_eq!(words(3), json!(["learning", "Monitoring", "all is seen"]));
+    assert_eq!(words(2), json!(["learning", "quake", "See the manual"]));
+    assert_eq!(words(3), json!(["learning", "Monitoring", "All is seen"]));
 }
 
 /// Regression test: normal parts filled the page of alerts. A filter still shows them.
@@ -255,7 +255,7 @@ async fn a_phone_cuts_nothing_off_in_german() {
     browser
         .wait(
             "the end of the demo in German",
-            "document.querySelector('.structure-card[data-level=alarm]') && document.body.innerText.includes('keine neuen Daten')",
+            "document.querySelector('.structure-card[data-level=alarm]') && document.body.innerText.includes('Aufzeichnung beendet')",
         )
         .await;
     // Names and words are longer than their cells only if they are cut off or cover others.

@@ -473,7 +473,10 @@ async fn keeps_the_last_revision(database: &Database) {
         (15, 5, Some(1)),
     ];
     let second = [(30, 0, Some(2)), (31, 1, Some(2)), (33, 2, Some(2))];
-    for (number, (seconds, revision, since_ns)) in (1..).zip(first.into_iter().chain(second)) {
+    // A service that restarts sends earlier messages again.
+    let repeated = [(11, 1, Some(1)), (31, 1, Some(2))];
+    let all = first.into_iter().chain(second).chain(repeated);
+    for (number, (seconds, revision, since_ns)) in (1..).zip(all) {
         let mut collector = Collector::new(&demo(), "spandrel");
         collector.handle(Input::Alert(revised(seconds, revision, since_ns)));
         database

@@ -483,28 +483,36 @@ async fn insert_happened(
 /// Replaces the previous revision of an alert. Returns `false` if this is the first one.
 ///
 /// Each state of an alert therefore has at most two rows: the first message and the latest
-/// revision.
+/// revision. A revision that is repeated after a later one changes nothing.
 async fn replace_revision(
     connection: &mut AnyConnection,
     structure: &str,
     alert: &AlertMessage,
 ) -> Result<bool, Failed> {
+    const LATER: &str = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
+                         AND state = $3 AND time_ns > $4 ORDER BY time_ns LIMIT 1";
+    const FORMER: &str = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
+                          AND state = $3 AND time_ns <= $4 ORDER BY time_ns DESC LIMIT 1";
     let (subject, state) = (alert.parameter.to_string(), alert.state.as_str());
-    let statement = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
-                     AND state = $3 AND time_ns <= $4 ORDER BY time_ns DESC LIMIT 1";
-    let select = sqlx::query(statement)
-        .bind(structure.to_owned())
-        .bind(subject.clone())
-        .bind(state);
-    let Some(row) = select
-        .bind(alert.time_ns)
-        .fetch_optional(&mut *connection)
-        .await?
-    else {
+    let mut found = [None, None];
+    for (statement, found) in [LATER, FORMER].into_iter().zip(&mut found) {
+        let select = sqlx::query(statement)
+            .bind(structure.to_owned())
+            .bind(subject.clone())
+            .bind(state)
+            .bind(alert.time_ns);
+        if let Some(row) = select.fetch_optional(&mut *connection).await? {
+            let (time_ns, message) = (row.try_get::<i64, _>(0)?, row.try_get::<String, _>(1)?);
+            *found = Some((time_ns, serde_json::from_str::<AlertMessage>(&message)?));
+        }
+    }
+    let [later, former] = found;
+    if later.is_some_and(|(_, later)| later.revises(alert)) {
+        return Ok(true);
+    }
+    let Some((time_ns, before)) = former else {
         return Ok(false);
     };
-    let (time_ns, message) = (row.try_get::<i64, _>(0)?, row.try_get::<String, _>(1)?);
-    let before = serde_json::from_str::<AlertMessage>(&message)?;
     if before.revision == 0 || !alert.revises(&before) {
         return Ok(false);
     }

@@ -16,7 +16,7 @@ use spandrel_filter::{BandLimit, FilterError};
 /// The whole state of an identification between two inputs, as stored in a checkpoint.
 ///
 /// After restoring it for the same structure file, results are bit-identical to an uninterrupted
-/// run.
+/// run, unless a sensor that was not in doubt is excluded within the time of the recent frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IdentificationState {
     estimator: EstimatorState,
@@ -67,7 +67,11 @@ impl Identification {
             settling: self.settling,
             reliability: self.reliability.state().clone(),
             motion: self.motion.as_ref().map(Motion::state),
-            recent: self.recent.state(),
+            // They are far larger than the rest, and are only used if a sensor becomes faulty.
+            recent: match self.check.is_in_doubt(|_| true) {
+                true => self.recent.state(),
+                false => Vec::new(),
+            },
             recovery: self.recovery,
         }
     }

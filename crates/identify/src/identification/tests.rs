@@ -756,6 +756,7 @@ fn restart_beside_an_exclusion_changes_no_bit() {
         .iter()
         .position(|estimate| estimate.excluded != Excluded::None)
         .unwrap() as u64;
+    // A sensor in doubt is excluded later. From then on, the checkpoint contains the recent frames.
     for at in [first - 100, first + 100] {
         let [head, tail] = &cut(block.clone(), &[at])[..] else {
             panic!("two parts")

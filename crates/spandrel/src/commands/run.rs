@@ -449,7 +449,7 @@ pub fn run(
                 }
             };
             info!(structures = plan.watched.len(), "ready");
-            if services.has(Service::Identify) {
+            if services == Services::ALL {
                 log_findings(&plan.watched);
             }
             tell_systemd(NotifyState::Ready);
@@ -487,7 +487,7 @@ pub fn run(
 /// Logs the warnings of a check of the structure files, because the estimates depend on them.
 ///
 /// A thread of its own checks the files. It leaves large ones to `spandrel check`, which takes
-/// minutes for them.
+/// minutes for them. A process with a single service may run on a small computer, and checks none.
 fn log_findings(watched: &[Watched]) {
     let structures = watched.iter().map(|watched| &watched.structure);
     let is_small = |structure: &&Structure| structure.check_bytes() <= MOST_CHECKED_BYTES;
