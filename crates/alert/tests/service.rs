@@ -322,6 +322,12 @@ async fn alert_is_unconfirmed_and_counted_while_the_data_contradict_the_model() 
     assert_eq!(counted, [(UndecidedBecause::FitContradicted, 1)].into());
 
     estimates.put(block(300, 300, 0.86)).await.unwrap();
+    let revised = next(&alerts).await;
+    assert_eq!(
+        (revised.state, revised.revision),
+        (AlertState::Undecided, 1)
+    );
+    assert!((revised.mean - 0.86).abs() < 1e-12, "{revised:?}");
     assert_eq!(next(&alerts).await.state, AlertState::Pending);
     assert_eq!(next(&alerts).await.state, AlertState::Raised);
     estimates.put(contradicted(600)).await.unwrap();

@@ -247,7 +247,7 @@ mod tests {
     fn two_loggers_with_different_clocks_are_noticed_although_each_sensor_is_sound() {
         let page = page_with_delay(60, 1.0, 3);
         let text = page.to_string();
-        assert_eq!(text.matches(" sound ").count(), 4, "{text}");
+        assert_eq!(text.matches(" sound   ").count(), 4, "{text}");
         assert!(
             text.contains("the delays of sound sensors differ"),
             "{text}"
