@@ -680,7 +680,12 @@ impl Identification {
     }
 
     /// Restarts a filter that has lost the structure. Returns `true` in this case.
+    ///
+    /// A frame without samples counts neither for nor against it.
     fn recover(&mut self, time_ns: i64, outputs: &mut Vec<Output>) -> bool {
+        if self.unobserved > 0 {
+            return false;
+        }
         let motion = self.motion.as_ref();
         let is_strong = motion.is_some_and(|motion| motion.strong().is_some());
         let judged = fit::judged(&self.estimator);

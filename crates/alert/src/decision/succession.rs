@@ -5,7 +5,7 @@
 //! not raise ends with an explanation.
 
 use super::{Decision, Stage, Watching};
-use crate::support::Support;
+use crate::support::{DecidedFrames, Support};
 use crate::wording::{End, describe_end};
 use crate::{Alert, ReferenceRule, probability_of_loss};
 use spandrel_bus::AlertState;
@@ -59,6 +59,7 @@ impl Decision {
             *watch = Watching::Normal;
         }
         self.support = Support::default();
+        self.decided = DecidedFrames::default();
         self.motion.suspend();
         let alert = self.alert(state)?;
         Some(Alert {

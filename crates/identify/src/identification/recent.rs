@@ -50,7 +50,7 @@ impl Recent {
         self.observations + 2 * self.excitation + 1
     }
 
-    /// Adds a frame, in place of the oldest one if the memory is full.
+    /// Adds a frame. It replaces the oldest one if the memory is full.
     pub(super) fn add(&mut self, inputs: Inputs<'_>) {
         if self.most == 0 {
             return;

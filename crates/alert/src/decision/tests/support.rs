@@ -511,3 +511,14 @@ fn reason_of_an_unconfirmed_alert_states_the_present_estimate() {
     assert_eq!((last.state, last.estimate.mean), (Unconfirmed, SOFT));
     assert!(last.why.contains("(estimate 0.900 ± 0.250"), "{}", last.why);
 }
+
+#[test]
+fn a_rule_that_ends_while_its_reference_is_learnt_again_leaves_no_reason() {
+    let mut drive = Drive::new(rule().with_learnt_reference(20.0).unwrap());
+    drive.estimates(0..30, 0.98, 0.2);
+    let end = drive
+        .decision
+        .ended(&crate::wording::End::Unwatched)
+        .unwrap();
+    assert_eq!((end.state, end.undecided_because), (Normal, None));
+}
