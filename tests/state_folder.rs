@@ -313,6 +313,30 @@ async fn a_corrupt_history_is_set_aside_and_monitoring_starts() {
     bus.close().await.unwrap();
 }
 
+/// Regression: opening the pipe waited for its writer, and `run` did not end at a signal.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_history_that_is_a_pipe_waits_and_monitoring_starts() {
+    let site = Site::with(&two_storeys(""));
+    let database = site.folder().join("house.sqlite");
+    let made = std::process::Command::new("mkfifo").arg(&database).status();
+    assert!(made.unwrap().success());
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, "[history]\ndatabase = \"house.sqlite\"\n").unwrap();
+    let mut command = site.listening("run");
+    command.arg("--config").arg(&configuration);
+    let services = Process::start(command.args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    services.wait_for_log("must be a regular file");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let record = site.simulate(20.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    std::fs::remove_file(&database).unwrap();
+    let stored = stored_until(&bus, &site, 19.0).await;
+    assert!(stored.rows.time_s[0] < 1.0, "{:?}", stored.rows.time_s);
+    services.stop().expect_code(0);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_history_on_a_read_only_disk_waits_and_monitoring_starts() {
     let site = Site::with(&two_storeys(""));

@@ -1,5 +1,6 @@
 //! Certificates, keys, tokens and router files.
 
+use super::files::make_pipe;
 use super::table::Table;
 use crate::support::{Finished, Process, Secured, five_storeys, free_endpoint, spandrel};
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair, date_time_ymd};
@@ -62,6 +63,7 @@ pub fn all(table: &mut Table) {
     );
     std::fs::write(folder.join("none.pem"), "no certificate").unwrap();
     std::fs::write(folder.join("none.key"), "no key").unwrap();
+    make_pipe(&folder.join("pipe.pem"));
     std::fs::copy(folder.join("viewer.ada.pem"), folder.join("swapped.pem")).unwrap();
     std::fs::copy(folder.join("authority.key"), folder.join("swapped.key")).unwrap();
     std::fs::copy(folder.join("viewer.ada.pem"), folder.join("keyless.pem")).unwrap();
@@ -79,6 +81,11 @@ pub fn all(table: &mut Table) {
             &["nowhere.pem", "No such file"][..],
         ),
         ("a file that is no certificate", "none.pem", &["none.pem"]),
+        (
+            "a certificate that is a pipe",
+            "pipe.pem",
+            &["pipe.pem", "regular file"],
+        ),
         (
             "a certificate without its key",
             "keyless.pem",
@@ -140,6 +147,16 @@ pub fn all(table: &mut Table) {
             "a router file that ends early",
             ("router", &["half.json5"]),
             &["half.json5"],
+        ),
+        (
+            "a router file that is a pipe",
+            ("router", &["pipe.pem"]),
+            &["pipe.pem", "regular file"],
+        ),
+        (
+            "a token file that is a pipe",
+            ("token", &["ada", "--role", "viewer", "--file", "pipe.pem"]),
+            &["pipe.pem", "regular file"],
         ),
         (
             "an unknown role",

@@ -235,7 +235,7 @@ pub fn structure_files(table: &mut Table) {
 }
 
 /// Creates a named pipe. Opening it waits for a writer.
-fn make_pipe(path: &Path) {
+pub fn make_pipe(path: &Path) {
     let made = Command::new("mkfifo").arg(path).status().unwrap();
     assert!(made.success(), "mkfifo {}", path.display());
 }
@@ -373,6 +373,41 @@ pub fn configurations(table: &mut Table) {
     run.args(["house.toml", "--config", "spandrel.toml"]);
     let told = parts(&["spandrel.toml:1", "UTF-16 (big-endian)", "UTF-8"]);
     table.add_ended("a file in UTF-16", (BAD_INPUT, &told), &finish(&mut run));
+    let large = std::fs::File::create(folder.path().join("large.toml")).unwrap();
+    large.set_len(2 << 20).unwrap();
+    make_pipe(&folder.path().join("pipe.toml"));
+    for (given, option, file, told) in [
+        ("no such file", "--config", "nowhere.toml", "No such file"),
+        (
+            "a pipe without a writer",
+            "--config",
+            "pipe.toml",
+            "regular file",
+        ),
+        (
+            "a device without end",
+            "--config",
+            "/dev/zero",
+            "regular file",
+        ),
+        ("a file of 2 MiB", "--config", "large.toml", "1048576"),
+        (
+            "a Zenoh file that is a pipe",
+            "--zenoh-config",
+            "pipe.toml",
+            "regular file",
+        ),
+        (
+            "a Zenoh file that is a device",
+            "--zenoh-config",
+            "/dev/zero",
+            "regular file",
+        ),
+    ] {
+        let mut run = command(folder.path(), "run");
+        run.args(["house.toml", option, file]);
+        table.add_ended(given, (BAD_INPUT, &parts(&[file, told])), &finish(&mut run));
+    }
     for (variable, value, told) in [
         (
             "SPANDREL_THREADS",

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::AccessError;
 use crate::role::Party;
-use spandrel_bus::TlsError;
+use spandrel_bus::{TlsError, read_small_file};
 
 impl Party {
     /// Reads the party from the common name of a certificate file (PEM).
@@ -15,7 +15,7 @@ impl Party {
     /// # Errors
     /// The file cannot be read or is not a certificate.
     pub fn of_certificate(path: &Path) -> Result<Option<Self>, AccessError> {
-        let text = std::fs::read(path);
+        let text = read_small_file(path);
         let text = text.map_err(|source| AccessError::File {
             what: "read",
             path: path.to_owned(),

@@ -13,7 +13,7 @@ use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
     Issuer, KeyPair, KeyUsagePurpose, SanType, date_time_ymd,
 };
-use spandrel_bus::{AUTHORITY_FILE, TlsConfig};
+use spandrel_bus::{AUTHORITY_FILE, TlsConfig, read_small_text};
 use spandrel_checkpoint::sync_name;
 
 use crate::error::AccessError;
@@ -263,7 +263,7 @@ impl SiteFolder {
     fn issuer(&self) -> Result<(Issuer<'static, KeyPair>, Date), AccessError> {
         let (path, key_path) = (self.authority(), self.folder.join(AUTHORITY_KEY_FILE));
         let read = |path: &Path| {
-            let read = std::fs::read_to_string(path);
+            let read = read_small_text(path);
             read.map_err(|source| AccessError::File {
                 what: "read",
                 path: path.to_owned(),

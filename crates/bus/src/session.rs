@@ -17,6 +17,7 @@ use crate::keys::{DEFAULT_ROOT, Keys};
 use crate::message::MAX_MESSAGE_BYTES;
 use crate::name::Name;
 use crate::protection;
+use crate::small_file::read_small_file;
 use crate::stream::StreamSettings;
 use crate::tls::TlsConfig;
 
@@ -152,12 +153,7 @@ impl BusConfig {
             return Err(BusError::ClientWithoutEndpoint);
         }
         let mut config = match &self.config_file {
-            Some(path) => {
-                zenoh::Config::from_file(path).map_err(|source| BusError::ConfigFile {
-                    path: path.clone(),
-                    source,
-                })?
-            }
+            Some(path) => read_config(path)?,
             None => zenoh::Config::default(),
         };
         let mut set = |key: &'static str, value: Value| set(&mut config, key, &value);
@@ -292,6 +288,17 @@ pub(crate) fn set(
 }
 
 /// Converts a path for the Zenoh configuration.
+/// Reads a configuration file of Zenoh.
+fn read_config(path: &Path) -> Result<zenoh::Config, BusError> {
+    let failed = |source: ZenohError| BusError::ConfigFile {
+        path: path.to_owned(),
+        source,
+    };
+    // Zenoh would wait for the writer of a pipe, and read a device without end.
+    read_small_file(path).map_err(|error| failed(error.into()))?;
+    zenoh::Config::from_file(path).map_err(failed)
+}
+
 fn text(path: &Path) -> Result<Value, BusError> {
     let text = path.to_str().ok_or_else(|| BusError::PathNotText {
         path: path.to_owned(),
@@ -370,11 +377,7 @@ impl Bus {
                 config_file: Some(file.to_owned()),
                 ..BusConfig::default()
             };
-            let mut zenoh_config =
-                zenoh::Config::from_file(file).map_err(|source| BusError::ConfigFile {
-                    path: file.to_owned(),
-                    source,
-                })?;
+            let mut zenoh_config = read_config(file)?;
             match protection::mode(&zenoh_config)? {
                 // This is the default mode of zenohd.
                 None => set(&mut zenoh_config, "mode", &"router".into())?,

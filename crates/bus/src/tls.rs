@@ -19,6 +19,8 @@ use serde::{Deserialize, Serialize};
 use tokio::time::timeout;
 use tracing::warn;
 
+use crate::small_file::read_small_file;
+
 /// Name of the authority's certificate file, in the folder of the certificates that it has issued.
 pub const AUTHORITY_FILE: &str = "authority.pem";
 /// Application protocol that Zenoh uses on QUIC links with one stream.
@@ -379,7 +381,7 @@ fn read_roots(path: &Path) -> Result<RootCertStore, TlsError> {
 }
 
 fn read(what: &'static str, path: &Path) -> Result<Vec<u8>, TlsError> {
-    std::fs::read(path).map_err(|source| TlsError::File {
+    read_small_file(path).map_err(|source| TlsError::File {
         what,
         path: path.to_owned(),
         source,

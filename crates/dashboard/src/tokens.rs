@@ -5,7 +5,7 @@ use crate::error::DashboardError;
 use rustls::crypto::ring::default_provider;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use spandrel_bus::Name;
+use spandrel_bus::{Name, read_small_text};
 use spandrel_checkpoint::sync_name;
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write as _};
@@ -52,7 +52,7 @@ impl Tokens {
     /// # Errors
     /// The file cannot be read or is not a token file.
     pub fn read(path: &Path) -> Result<Self, DashboardError> {
-        let text = std::fs::read_to_string(path);
+        let text = read_small_text(path);
         let text = text.map_err(|source| DashboardError::TokenFile {
             path: path.to_owned(),
             source,

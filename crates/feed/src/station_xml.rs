@@ -9,6 +9,7 @@
 use std::path::Path;
 
 use roxmltree::{Document, Node};
+use spandrel_bus::check_regular_file;
 use spandrel_record::TimeUnit;
 use spandrel_record::record_time::parse_time_ns;
 
@@ -82,6 +83,7 @@ impl StationXml {
     /// # Errors
     /// The file cannot be read, is not XML or has no channel.
     pub fn read(path: &Path) -> Result<Self, StationXmlError> {
+        check_regular_file(path).map_err(StationXmlError::Read)?;
         let found = std::fs::metadata(path)
             .map_err(StationXmlError::Read)?
             .len();

@@ -8,6 +8,7 @@ use crate::state::NoticeState;
 use crate::template::Template;
 use lettre::message::Mailbox;
 use serde::Deserialize;
+use spandrel_bus::read_small_text;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -209,7 +210,7 @@ impl Email {
 }
 
 fn read_template(path: &Path, place: String) -> Result<Template, NotifyError> {
-    match std::fs::read_to_string(path) {
+    match read_small_text(path) {
         Ok(source) => parse_template(&source, &path.display().to_string(), place),
         Err(source) => Err(NotifyError::TemplateFile {
             place,
@@ -422,7 +423,7 @@ fn is_http(url: &str) -> bool {
 /// Returns the secret in a file, without the line ending.
 pub(crate) fn read_secret(path: Option<&Path>, place: &str) -> Result<Option<String>, NotifyError> {
     let Some(path) = path else { return Ok(None) };
-    let text = std::fs::read_to_string(path);
+    let text = read_small_text(path);
     let text = text.map_err(|source| NotifyError::Secret {
         place: place.to_owned(),
         path: path.to_owned(),

@@ -63,11 +63,13 @@ pub enum AppError {
         /// The value found and the allowed values.
         what: String,
     },
-    /// The configuration file is missing.
-    #[error("{}: no such configuration file", path.display())]
-    NoConfiguration {
+    /// The configuration file cannot be read.
+    #[error("{}: the configuration file cannot be read", path.display())]
+    UnreadableConfiguration {
         /// Path of the file.
         path: PathBuf,
+        /// The reason.
+        source: std::io::Error,
     },
     /// The configuration file is not UTF-8.
     #[error("{}:{}: {wrong}", path.display(), wrong.line)]
@@ -666,7 +668,7 @@ impl AppError {
             | Self::Judge(_)
             | Self::Epoch { .. }
             | Self::SeriesValue { .. }
-            | Self::NoConfiguration { .. }
+            | Self::UnreadableConfiguration { .. }
             | Self::WrongEncoding { .. }
             | Self::Configuration { .. }
             | Self::NoStructure

@@ -5,7 +5,7 @@ use crate::error::AppError;
 use crate::state::StateSettings;
 use config::{Config, Environment, File, FileFormat};
 use serde::Deserialize;
-use spandrel_bus::{BusConfig, Mode, TlsConfig};
+use spandrel_bus::{BusConfig, Mode, TlsConfig, read_small_file};
 use spandrel_dashboard::{DashboardError, Listen, PageCertificate, PageSettings, Tokens};
 use spandrel_feed::FeedSettings;
 use spandrel_history::{Address, Keep};
@@ -185,10 +185,7 @@ impl Settings {
     ) -> Result<Self, AppError> {
         let mut builder = Config::builder();
         if let Some(path) = &arguments.config {
-            if !path.is_file() {
-                return Err(AppError::NoConfiguration { path: path.clone() });
-            }
-            check_encoding(path)?;
+            check_file(path)?;
             builder = builder.add_source(File::from(path.clone()).format(FileFormat::Toml));
         }
         let environment = Environment::with_prefix(PREFIX)
@@ -261,10 +258,14 @@ impl Settings {
     }
 }
 
-/// Checks that a configuration file is UTF-8. Other encodings are named with their position.
-fn check_encoding(path: &Path) -> Result<(), AppError> {
-    // The reader of the configuration reports a file that cannot be read.
-    let bytes = std::fs::read(path).unwrap_or_default();
+/// Checks that a configuration file is a small file in UTF-8. Other encodings are named with their
+/// position.
+fn check_file(path: &Path) -> Result<(), AppError> {
+    let unreadable = |source| AppError::UnreadableConfiguration {
+        path: path.to_owned(),
+        source,
+    };
+    let bytes = read_small_file(path).map_err(unreadable)?;
     match decode(bytes) {
         Ok(_) => Ok(()),
         Err(wrong) => Err(AppError::WrongEncoding {

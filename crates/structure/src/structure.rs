@@ -85,9 +85,9 @@ pub struct Structure {
     pub(crate) modes: Arc<Modes>,
 }
 
-/// Maximum size of a structure file (bytes). A thousand storeys with a node each take less than
-/// 1 MiB.
-const MAX_BYTES: u64 = 16 << 20;
+/// Maximum size of a structure file (bytes). A thousand storeys with a parameter and a node each take
+/// about a third of it. The list of mistakes can take a hundred times the size of the file.
+const MAX_BYTES: u64 = 1 << 20;
 
 impl Structure {
     /// Reads a structure file and the matrices that it names.

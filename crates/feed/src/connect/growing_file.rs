@@ -10,6 +10,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
+use spandrel_bus::check_regular_file;
 use tokio::time::sleep;
 
 use crate::connect::Outlet;
@@ -319,6 +320,7 @@ impl OpenFile {
     /// Opens a file. Returns `None` if its header is not complete yet.
     fn open(path: &Path, format: &LineFormat) -> Result<Option<Self>, String> {
         let failed = |error: std::io::Error| format!("cannot read {}: {error}", path.display());
+        check_regular_file(path).map_err(failed)?;
         let mut file = File::open(path).map_err(failed)?;
         let identity = identity(&file.metadata().map_err(failed)?);
         let mut position = 0;

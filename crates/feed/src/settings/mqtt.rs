@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use serde_json::Value;
+use spandrel_bus::read_small_text;
 
 use super::Reading;
 use super::kind::{Columns, line_format};
@@ -106,7 +107,7 @@ fn login(
             return None;
         }
     };
-    match std::fs::read_to_string(&file) {
+    match read_small_text(&file) {
         Ok(password) => Some(Some(Login {
             user,
             password: password.trim_end_matches(['\n', '\r']).to_owned(),

@@ -3,8 +3,10 @@
 
 use crate::error::HistoryError;
 use jiff::Timestamp;
+use spandrel_bus::check_regular_file;
 use spandrel_service::Clock;
 use std::fs::{DirBuilder, OpenOptions};
+use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
@@ -57,11 +59,17 @@ pub(super) fn make_file(path: &Path, folder: Folder) -> Result<(), HistoryError>
             source,
         })?;
     }
-    let opened = OpenOptions::new()
-        .append(true)
-        .create(true)
-        .mode(FILE_MODE)
-        .open(path);
+    let open = || {
+        OpenOptions::new()
+            .append(true)
+            .create(true)
+            .mode(FILE_MODE)
+            .open(path)
+    };
+    let opened = match check_regular_file(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => open(),
+        checked => checked.and_then(|()| open()),
+    };
     opened.map(drop).map_err(|source| HistoryError::File {
         path: path.to_owned(),
         source,
