@@ -10,6 +10,7 @@ use spandrel_bus::{
 };
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::process::Command;
 use std::time::Duration;
 
 /// Starts all services with a page, and returns the address of the page.
@@ -189,6 +190,8 @@ async fn malformed_queries_are_counted_and_hardly_logged() {
 #[tokio::test(flavor = "multi_thread")]
 async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     const READERS: usize = 20;
+    // More than the threads on which Zenoh receives.
+    const CROWD: usize = 150;
     const DURATION_S: usize = 40;
     // Two frozen subscribers delayed alerts by 10 s. Frames may wait 2 s for late samples.
     const MOST_LAG_S: f64 = 5.0;
@@ -212,10 +215,24 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     for reader in &readers {
         reader.wait_for_output("values", |said| said.contains("storey-1"));
     }
+    let crowd = std::env::current_exe().unwrap();
+    let mut crowd = Command::new(crowd);
+    crowd.args([
+        "neighbours::crowd_of_readers",
+        "--exact",
+        "--ignored",
+        "--nocapture",
+    ]);
+    let orders = format!("{CROWD} {root} {}", site.endpoint());
+    let crowd = Process::start(crowd.env(CROWD_ORDERS, orders));
+    crowd.wait_for_output("all readers have received", |said| {
+        said.contains("all have received")
+    });
     while of_alert.messages().try_iter().next().is_some() {}
-    let events = bus.subscribe::<Event>(site.keys().event(), 256).await;
+    let events = bus.subscribe::<Event>(site.keys().event(), 1024).await;
     let events = events.unwrap();
     readers.iter().for_each(Process::freeze);
+    crowd.freeze();
     services.wait_for_log("refused what=\"bus-reader\" who=\"tcp/127.0.0.1:");
     simulation.wait().expect_code(0);
     // The first frame is the first instant of all six nodes.
@@ -235,7 +252,7 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     );
     let metrics = get(&page, "/metrics", "");
     assert!(
-        refused(&metrics, "bus-reader") >= READERS as u64,
+        refused(&metrics, "bus-reader") >= (READERS + CROWD) as u64,
         "{metrics}"
     );
     let of_readers = |event: &Event| event.kind == EventKind::ReaderDisconnected;
@@ -250,7 +267,44 @@ async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
         "{events:?}"
     );
     readers.into_iter().for_each(Process::kill);
+    crowd.kill();
     services.stop().expect_code(0);
+}
+
+const CROWD_ORDERS: &str = "CROWD_OF_READERS";
+
+/// Runs as a separate process of the test above: many connections that read everything.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "is started by the test above"]
+async fn crowd_of_readers() {
+    let Ok(orders) = std::env::var(CROWD_ORDERS) else {
+        return; // a run of all ignored tests
+    };
+    let [count, root, endpoint] = orders.split(' ').collect::<Vec<_>>()[..] else {
+        panic!("{orders}");
+    };
+    let mut readers = Vec::new();
+    for _ in 0..count.parse().unwrap() {
+        let config = BusConfig {
+            root: root.to_owned(),
+            mode: Mode::Client,
+            connect: vec![endpoint.to_owned()],
+            ..BusConfig::default()
+        };
+        let bus = Bus::open(&config).await.unwrap();
+        let (first, received) = std::sync::mpsc::sync_channel(1);
+        let all = bus.session().declare_subscriber(format!("{root}/**"));
+        let all = all.callback(move |_| {
+            let _ = first.try_send(());
+        });
+        let all = all.await;
+        readers.push((bus, all.unwrap(), received));
+    }
+    for (_, _, received) in &readers {
+        received.recv_timeout(DEADLINE).unwrap();
+    }
+    println!("all have received");
+    std::future::pending::<()>().await;
 }
 
 /// Starts an isolated process with all services, and returns the address of its page.

@@ -341,7 +341,10 @@ impl Parties {
         let address = link.rsplit(" => ").next().unwrap_or(link);
         let end = address.find(":TransportLink").unwrap_or(address.len());
         let who = address[..end].to_owned();
-        Some(closed(who, "it sent no keep-alive message"))
+        Some(closed(
+            who,
+            "it sent no keep-alive message, or this process was suspended",
+        ))
     }
 
     /// Reads `SERVER: CLIENT. NAME.`

@@ -193,8 +193,8 @@ async fn put_lost_readers(
     count: usize,
 ) -> Result<(), BusError> {
     let what = match count {
-        1 => "a reader of the bus was disconnected".to_owned(),
-        _ => format!("{count} readers of the bus were disconnected"),
+        1 => "a connection of the bus was closed".to_owned(),
+        _ => format!("{count} connections of the bus were closed"),
     };
     let event = Event {
         structure: keys.structure().clone(),
