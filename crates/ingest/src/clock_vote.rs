@@ -8,6 +8,9 @@
 //! decision remains in force as long as one node supports it. A node whose clock jumps, or that
 //! restarts first after a power cut, therefore cannot change it alone. If more than half of the nodes
 //! are ahead of the decision together, all of them were late when they voted, and it moves at once.
+//!
+//! If the largest groups of at least two nodes are equally large, the one that agrees with the clock of
+//! the machine decides. Otherwise, the group that was there first would keep the correct half out.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -58,6 +61,8 @@ pub struct ClockVote {
     nodes: Vec<Voter>,
     /// Clock of the majority minus the monotonic clock, ns.
     majority_ns: Option<i64>,
+    /// Clock of the machine minus the monotonic clock, ns. It decides between equal groups.
+    machine_ns: Option<i64>,
     tied_since: Option<Duration>,
 }
 
@@ -167,8 +172,15 @@ impl ClockVote {
             limit_ns: i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX),
             nodes: (0..nodes).map(|_| Voter::default()).collect(),
             majority_ns: None,
+            machine_ns: None,
             tied_since: None,
         }
+    }
+
+    /// Sets the time (ns) that the clock of the machine shows at `now`.
+    pub fn set_machine_time(&mut self, time_ns: i64, now: Duration) {
+        let now_ns = i64::try_from(now.as_nanos()).unwrap_or(i64::MAX);
+        self.machine_ns = Some(time_ns.saturating_sub(now_ns));
     }
 
     /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a
@@ -312,12 +324,25 @@ impl ClockVote {
         };
         self.majority_ns = match is_majority {
             true => median_ns,
-            false => former_ns,
+            false => self.confirmed_group(&votes, largest.len()).or(former_ns),
         };
         self.tied_since = match is_tied && self.majority_ns.is_none() {
             true => self.tied_since.or(Some(now)),
             false => None,
         };
+    }
+
+    /// Returns the median of a group of `len` sorted votes that agree with each other and with the
+    /// clock of the machine. A single vote is no group.
+    fn confirmed_group(&self, votes: &[i64], len: usize) -> Option<i64> {
+        let machine_ns = self.machine_ns.filter(|_| len >= 2)?;
+        let is_group = |group: &&[i64]| {
+            let ends = group.first().zip(group.last());
+            ends.is_some_and(|(first_ns, last_ns)| self.agree(*first_ns, *last_ns))
+        };
+        let mut medians = { votes.windows(len).filter(is_group) }
+            .filter_map(|group| group.get((len - 1) / 2).copied());
+        medians.find(|median_ns| self.agree(*median_ns, machine_ns))
     }
 
     /// Compares a node with the majority. Returns `true` if its clock has become wrong or right.
@@ -425,6 +450,43 @@ mod tests {
         rig.run(10.0, &three(-20));
         let verdicts = rig.run(0.5, &three(0));
         assert_eq!(verdicts, [ClockVerdict::Agrees; 7]);
+    }
+
+    // The three nodes that were there first kept the three correct ones out.
+    #[test]
+    fn clock_of_the_machine_decides_between_equal_groups() {
+        for (machine_s, first, others) in [
+            (None, AGREES, wrong(-3600)),
+            (Some(0), wrong(3600), AGREES),
+            (Some(3600), AGREES, wrong(-3600)),
+            (Some(1800), AGREES, wrong(-3600)),
+        ] {
+            let mut rig = Rig::new(6);
+            if let Some(machine_s) = machine_s {
+                let time_ns = T0 + rig.now.as_nanos() as i64 + machine_s * S;
+                rig.vote.set_machine_time(time_ns, rig.now);
+            }
+            rig.run(5.0, &[(0, 3600), (1, 3600), (2, 3600)]);
+            let all = [(0, 3600), (1, 3600), (2, 3600), (3, 0), (4, 0), (5, 0)];
+            let verdicts = rig.run(8.0, &all);
+            assert_eq!(verdicts[..3], [first; 3], "{machine_s:?}");
+            assert_eq!(verdicts[3..], [others; 3], "{machine_s:?}");
+        }
+    }
+
+    #[test]
+    fn clock_of_the_machine_does_not_decide_against_a_majority_or_between_two_nodes() {
+        let mut rig = Rig::new(3);
+        rig.vote
+            .set_machine_time(T0 + rig.now.as_nanos() as i64 + 3600 * S, rig.now);
+        let verdicts = rig.run(8.0, &[(0, 3600), (1, 0), (2, 0)]);
+        assert_eq!(verdicts, [wrong(3600), AGREES, AGREES]);
+        let mut rig = Rig::new(2);
+        rig.vote
+            .set_machine_time(T0 + rig.now.as_nanos() as i64 + 3600 * S, rig.now);
+        rig.run(8.0, &[(0, 0), (1, 0)]);
+        let verdicts = rig.run(8.0, &[(0, 3600), (1, 0)]);
+        assert_eq!(verdicts, [wrong(3600), AGREES]);
     }
 
     #[test]

@@ -54,8 +54,13 @@ fn report(node: usize, verdict: ClockVerdict, tally: Tally) -> ClockReport {
         ),
         ClockVerdict::Wrong { difference_ns } => (
             format!(
-                "the clock of the node is {} most nodes",
-                in_words(difference_ns)
+                "the clock of the node is {} {}",
+                in_words(difference_ns),
+                if 2 * agreeing > votes {
+                    "most nodes"
+                } else {
+                    "other nodes"
+                },
             ),
             format!(
                 "{agreeing} of {votes} nodes agree on another time; samples of this node are \

@@ -10,7 +10,7 @@ use spandrel_bus::{
     SampleBlock, Service, Start, StreamGroup, StreamState,
 };
 use spandrel_service::{
-    EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+    Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
@@ -131,6 +131,7 @@ pub struct IngestService {
     lockout_watch: LockoutWatch,
     quality_watch: QualityWatch,
     missing_share: MissingShare,
+    clock: Clock,
     events: EventPublisher,
     keys: Keys,
     /// Pace of the last block. The nodes of a structure are either all live or all replayed.
@@ -336,6 +337,7 @@ impl IngestService {
                 lockout_watch: LockoutWatch::new(node_count),
                 quality_watch: QualityWatch::new(node_count),
                 missing_share,
+                clock: *clock,
                 events: EventPublisher::declare(bus, &keys).await?,
                 pace: Pace::Live,
                 pace_heard: None,

@@ -81,6 +81,11 @@ impl Timekeeping {
         }
     }
 
+    /// Sets the time (ns) that the clock of the machine shows at `now`.
+    pub(crate) fn set_machine_time(&mut self, time_ns: i64, now: Duration) {
+        self.vote.set_machine_time(time_ns, now);
+    }
+
     /// Returns a report on each node whose clock has become wrong or right since the last call.
     pub(crate) fn reports(&mut self, now: Duration) -> Vec<ClockReport> {
         self.watch.read(&self.vote.verdicts(now), self.vote.tally())

@@ -16,6 +16,7 @@ impl IngestService {
         let Some(timekeeping) = &mut self.timekeeping else {
             return Ok(());
         };
+        timekeeping.set_machine_time(self.clock.now_ns(), elapsed);
         let inputs = timekeeping.count_votes(elapsed);
         let reports = timekeeping.reports(elapsed);
         let moves = timekeeping.moves(elapsed);
