@@ -168,8 +168,11 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         Role::Alert => [
             each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
-            // This status names nodes with a wrong clock.
-            each(Right::Subscribe, &[K::Status(Service::Ingest)]),
+            // This status names nodes with a wrong clock, and this comparison faulty sensors.
+            each(
+                Right::Subscribe,
+                &[K::Status(Service::Ingest), K::SensorHealth],
+            ),
             each(
                 Right::Put,
                 &[

@@ -4,12 +4,13 @@
 //! arrives now: the share of samples that the filter uses, and the rate at which it learns about
 //! each parameter. It has no clock: the passage of time is an argument.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use spandrel_bus::{
     Block, ChannelMonitoring, EstimateBlock, MonitoringDisplay, MonitoringState as State, Name,
-    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, Status, StreamState, UndecidedBecause,
+    ParameterMonitoring, Phase, REFERENCE_IS_LEARNT, SensorHealthDisplay, Soundness, Status,
+    StreamState, UndecidedBecause,
 };
 use spandrel_structure::Structure;
 
@@ -55,6 +56,8 @@ pub(crate) struct Monitoring {
     knows_channels: bool,
     /// Nodes whose clock differs from that of most nodes, and the difference, s: positive if ahead.
     wrong_clocks: Vec<(Name, f64)>,
+    /// Channels that are probably faulty.
+    suspects: BTreeSet<Name>,
 }
 
 #[derive(Debug)]
@@ -159,6 +162,7 @@ impl Monitoring {
             candidate: None,
             knows_channels: false,
             wrong_clocks: Vec::new(),
+            suspects: BTreeSet::new(),
         })
     }
 
@@ -168,6 +172,59 @@ impl Monitoring {
         let clocks = of_ingest.clocks.iter();
         let wrong = clocks.filter_map(|(node, clock)| Some((node.clone(), clock.difference_s?)));
         self.wrong_clocks = wrong.collect();
+    }
+
+    /// Takes the comparison of the sensors of one node with the others.
+    pub(crate) fn take_health(&mut self, of_node: &SensorHealthDisplay) {
+        for channel in &of_node.channels {
+            match channel.state {
+                Soundness::InDoubt | Soundness::Faulty => {
+                    self.suspects.insert(channel.channel.clone());
+                }
+                Soundness::Sound | Soundness::Unchecked => {
+                    self.suspects.remove(&channel.channel);
+                }
+            }
+        }
+    }
+
+    /// Returns `true` if nothing is decided because a sensor is in doubt.
+    pub(crate) fn has_sensor_in_doubt(&self) -> bool {
+        let last = self.last.as_ref();
+        last.is_some_and(|last| last.phase == Phase::SensorInDoubt)
+    }
+
+    /// Forgets which sensors are in doubt.
+    pub(crate) fn clear_suspects(&mut self) {
+        self.suspects.clear();
+    }
+
+    /// Returns the reason in words. A sensor that is probably faulty is named, if it is known.
+    fn words(&self, because: UndecidedBecause) -> String {
+        match because {
+            UndecidedBecause::SensorInDoubt if !self.suspects.is_empty() => {
+                format!("{}: {}", because.words(), listed(self.suspects.iter()))
+            }
+            _ => because.words().to_owned(),
+        }
+    }
+
+    /// Returns the state and the reason of a parameter with a rule.
+    fn of_vigilance(&self, vigilance: Vigilance) -> (State, Option<String>) {
+        let (state, why) = match vigilance {
+            Vigilance::Undecided(because) => return (State::Blind, Some(self.words(because))),
+            Vigilance::Watching => return (State::Watching, None),
+            Vigilance::LearnsLittle => (
+                State::Degraded,
+                "damage would show only after more time than usual",
+            ),
+            Vigilance::LearnsReference => (State::Blind, REFERENCE_IS_LEARNT),
+            Vigilance::LearnsNothing => (
+                State::Blind,
+                "the present data contain no information; the estimate depends on earlier data",
+            ),
+        };
+        (state, Some(why.to_owned()))
     }
 
     /// Counts the used samples of a block.
@@ -272,13 +329,13 @@ impl Monitoring {
                 let sustained_std =
                     information.map(|information| f64::from(*information).sqrt().recip());
                 let (state, why) = match watch.vigilance(index) {
-                    Some(vigilance) => of_vigilance(vigilance),
+                    Some(vigilance) => self.of_vigilance(vigilance),
                     None => without_rule(self.last.is_some(), sustained_std, parameter.prior_std),
                 };
                 ParameterMonitoring {
                     parameter: parameter.name.clone(),
                     state,
-                    why: why.map(str::to_owned),
+                    why,
                     sustained_std: sustained_std.filter(|std| std.is_finite()),
                 }
             });
@@ -334,8 +391,8 @@ impl Monitoring {
         if last.phase == Phase::ExcitationSilent {
             reasons.push(UndecidedBecause::ExcitationSilent.words().to_owned());
         }
-        if last.phase == Phase::SensorInDoubt {
-            reasons.push(UndecidedBecause::SensorInDoubt.words().to_owned());
+        if self.has_sensor_in_doubt() {
+            reasons.push(self.words(UndecidedBecause::SensorInDoubt));
         }
         if !has_response {
             reasons.push("no sensor of the response delivers usable samples".to_owned());
@@ -399,37 +456,18 @@ impl WatchedChannel {
     }
 }
 
-/// Returns the state and the reason of a parameter with a rule.
-fn of_vigilance(vigilance: Vigilance) -> (State, Option<&'static str>) {
-    match vigilance {
-        Vigilance::Watching => (State::Watching, None),
-        Vigilance::LearnsLittle => (
-            State::Degraded,
-            Some("damage would show only after more time than usual"),
-        ),
-        Vigilance::LearnsReference => (State::Blind, Some(REFERENCE_IS_LEARNT)),
-        Vigilance::LearnsNothing => (
-            State::Blind,
-            Some("the present data contain no information; the estimate depends on earlier data"),
-        ),
-        Vigilance::Undecided(because) => (State::Blind, Some(because.words())),
-    }
-}
-
 /// Returns the state and the reason of a parameter without a rule.
 fn without_rule(
     has_estimates: bool,
     sustained_std: Option<f64>,
     prior_std: f64,
-) -> (State, Option<&'static str>) {
-    match sustained_std {
-        _ if !has_estimates => (State::Blind, Some("no estimates have arrived")),
-        Some(std) if std >= prior_std => (
-            State::Blind,
-            Some("the present data reveal less than the prior"),
-        ),
-        _ => (State::Watching, None),
-    }
+) -> (State, Option<String>) {
+    let why = match sustained_std {
+        _ if !has_estimates => "no estimates have arrived",
+        Some(std) if std >= prior_std => "the present data reveal less than the prior",
+        _ => return (State::Watching, None),
+    };
+    (State::Blind, Some(why.to_owned()))
 }
 
 /// Returns a reason that names the nodes whose clock is wrong.

@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Delivery, DisplayPublisher,
+    Acknowledgement, AlertMessage, AlertState, Block, BoxedFuture, Bus, Delivery, DisplayPublisher,
     EstimateBlock, Event, EventKind, HistoryLog, Keys, LatestPublisher, LiveToken, LossDisplay,
     ModeDisplay, MonitoringDisplay, MonitoringState, Name, ProgressPublisher, Question, Questions,
-    Service, Start, Status, Stream, Subscription,
+    SensorHealthDisplay, Service, Start, Status, Stream, Subscription,
 };
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
@@ -25,6 +25,9 @@ use crate::{Acknowledged, Alert, AlertError, Baseline, ParameterLoss, Watch};
 const ACKNOWLEDGEMENTS_WAITING: usize = 64;
 /// Capacity of the queue for status messages of ingest. Only the last one matters.
 const STATUSES_WAITING: usize = 4;
+/// Capacity of the queue for comparisons of the sensors of a node. Only the last of each node
+/// matters.
+const HEALTH_WAITING: usize = 256;
 /// Capacity of the queue for modes. An epoch has at most 64 of them, which are published again.
 const MODES_WAITING: usize = 256;
 /// Capacity of the queue for queries of the log.
@@ -69,6 +72,9 @@ pub struct AlertService {
     monitoring: Monitoring,
     monitoring_topic: DisplayPublisher<MonitoringDisplay>,
     ingest_statuses: Subscription<Status>,
+    /// Comparisons of the sensors, while one of them is in doubt.
+    sensor_health: Option<Subscription<SensorHealthDisplay>>,
+    bus: Bus,
     /// The comparison with the declared modes, and their messages. `None` if there is no model or no
     /// declared mode.
     model_check: Option<(ModelCheck, Subscription<ModeDisplay>)>,
@@ -214,6 +220,8 @@ impl AlertService {
                 alerts,
                 monitoring: Monitoring::new(structure)?,
                 monitoring_topic: bus.publish_display(keys.monitoring()).await?,
+                sensor_health: None,
+                bus: bus.clone(),
                 ingest_statuses: bus
                     .subscribe(keys.statuses(Service::Ingest), STATUSES_WAITING)
                     .await?,
@@ -560,8 +568,31 @@ impl AlertService {
         Ok(self.events.put(&event).await?)
     }
 
+    /// Learns which sensors are in doubt. The comparisons arrive at the display rate and cost more
+    /// than the decisions, so they are read only while they matter.
+    async fn find_suspects(&mut self) -> Result<(), AlertError> {
+        if !self.monitoring.has_sensor_in_doubt() {
+            self.sensor_health = None;
+            self.monitoring.clear_suspects();
+            return Ok(());
+        }
+        match &self.sensor_health {
+            Some(comparisons) => {
+                for (_, of_node) in comparisons.messages().try_iter() {
+                    self.monitoring.take_health(&of_node);
+                }
+            }
+            None => {
+                let key = self.keys.all_sensor_health();
+                self.sensor_health = Some(self.bus.subscribe(key, HEALTH_WAITING).await?);
+            }
+        }
+        Ok(())
+    }
+
     /// Publishes the state of the monitoring, and an event if it has changed.
     async fn put_monitoring(&mut self) -> Result<(), AlertError> {
+        self.find_suspects().await?;
         if let Some((_, status)) = self.ingest_statuses.messages().try_iter().last() {
             self.monitoring.take_status(&status);
         }

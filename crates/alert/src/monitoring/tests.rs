@@ -1,4 +1,4 @@
-use spandrel_bus::{Estimate, EstimateFlags, Header};
+use spandrel_bus::{ChannelHealthDisplay, Estimate, EstimateFlags, Header};
 use std::path::Path;
 
 use super::*;
@@ -240,6 +240,40 @@ fn reason_of_the_structure_and_of_all_its_parameters_is_named_once() {
     bench.run_in(Phase::SensorInDoubt, 10, 0.001, |_| true);
     let display = bench.judge(Duration::ZERO);
     assert_eq!(display.words(), "blind: a sensor is probably faulty");
+}
+
+// The state said that a sensor is faulty, and not which one.
+#[test]
+fn sensor_in_doubt_is_named_once_it_is_known() {
+    let mut bench = Bench::new();
+    bench.run_in(Phase::SensorInDoubt, 10, 0.001, |_| true);
+    let health = |channel: &str, state: Soundness| SensorHealthDisplay {
+        structure: Name::new("tower").unwrap(),
+        node: Name::new(channel).unwrap(),
+        time_ns: 0,
+        channels: vec![ChannelHealthDisplay {
+            channel: Name::new(channel).unwrap(),
+            state,
+            probability: 0.5,
+            fault: None,
+            gain: None,
+            delay_s: None,
+            coherence: None,
+        }],
+    };
+    for (channel, state, expected) in [
+        ("roof", Soundness::Sound, ""),
+        ("middle", Soundness::InDoubt, ": middle"),
+        ("roof", Soundness::Faulty, ": middle, roof"),
+        ("middle", Soundness::Sound, ": roof"),
+    ] {
+        bench.monitoring.take_health(&health(channel, state));
+        let words = bench.judge(Duration::ZERO).words();
+        assert_eq!(
+            words,
+            format!("blind: a sensor is probably faulty{expected}")
+        );
+    }
 }
 
 // A ground sensor that lost three of four samples changed nothing on the page.
