@@ -124,7 +124,7 @@ fn a_matrix_without_end_is_refused_within_two_seconds_and_200_mb() {
 }
 
 /// Regression: a check of 10,000 nodes took over 25 s and 1.6 GB, and one of 1,000 storeys with as
-/// many parameters and sensors 3.7 GB.
+/// many parameters and sensors 3.7 GB. One of 1,000 storeys with 400 parameters took 59 s.
 #[test]
 fn a_check_that_takes_too_much_memory_is_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -135,7 +135,7 @@ fn a_check_that_takes_too_much_memory_is_refused() {
         )
     };
     let many: String = (0..10_000).map(node).collect();
-    for text in [storeys(1000, ""), storeys(240, ""), storeys(10, &many)] {
+    for text in [storeys(1000, ""), storeys(190, ""), storeys(10, &many)] {
         std::fs::write(folder.path().join("tower.toml"), text).unwrap();
         assert_refuses(folder.path(), &["check", "tower.toml"], 500, 20);
     }

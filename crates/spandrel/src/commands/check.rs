@@ -21,8 +21,8 @@ use tracing::info;
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
 
-/// Maximum memory of the matrices of a check (MB).
-const MOST_MB: usize = 500;
+/// Maximum memory of the matrices of a check (MB). Larger checks take longer than 20 s on two cores.
+const MOST_MB: usize = 240;
 
 /// Number of steps of the progress bar.
 const SHARES: u64 = 1000;
