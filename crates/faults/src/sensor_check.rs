@@ -10,6 +10,7 @@ use crate::profile::{BandFilters, BandPowers, ProfileReference, most_probable_ex
 use crate::reference::{ObservedRelation, SensorReference};
 use crate::resonance::Resonances;
 use crate::spectrum::{Coefficients, OVERLAP, Spectrum, Windows};
+use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 use spandrel_structure::{CommonMotion, Structure};
 
@@ -213,20 +214,25 @@ impl SensorCheck {
                 window = window.most_coherent();
             }
             group.find(state, &window);
-            for memory in &mut state.memories {
-                memory.add(&window);
+            // Noise would take the place of an earlier motion, and noise of sound sensors differs.
+            let shows_motion = group.shows_motion(&window);
+            if shows_motion {
+                for memory in &mut state.memories {
+                    memory.add(&window);
+                }
             }
             let compared = state
                 .memories
                 .iter()
                 .map(|memory| {
-                    let is_filled = memory.added() >= FIRST;
+                    let has_news = shows_motion && memory.added() >= FIRST;
                     let compared = || group.compare(memory);
-                    is_filled.then(compared).flatten()
+                    has_news.then(compared).flatten()
                 })
                 .collect::<Vec<_>>();
             if let (Some(None), Some(short)) = (compared.first(), state.memories.first()) {
-                state.is_incoherent = short.added() >= FIRST && group.is_loud(short);
+                state.is_incoherent =
+                    shows_motion && short.added() >= FIRST && group.is_loud(short);
             } else {
                 state.is_incoherent = false;
             }
@@ -285,7 +291,9 @@ impl SensorCheck {
         let required = groups
             .filter(|(group, _)| group.channels.contains(&channel))
             .map(|(group, state)| {
-                let is_short = state.memories.iter().all(|memory| memory.added() < FIRST);
+                // Windows without motion are not in the memories.
+                let is_short = state.memories.iter().all(|memory| memory.added() < FIRST)
+                    && u64::from(state.powers.windows()) < FIRST;
                 let windows = 1.0 + (FIRST - 1) as f64 / OVERLAP as f64;
                 is_short.then_some(windows * group.spectrum.window_s())
             });
@@ -603,15 +611,38 @@ impl Group {
         evidence
     }
 
+    /// Returns the power per bin of the stated noise of a channel.
+    fn noise_power(&self, member: usize) -> f64 {
+        self.noise_std[member].powi(2) * self.spectrum.noise_power()
+    }
+
+    /// Returns `true` if the motion of a window exceeds the stated noise of half of its channels.
+    ///
+    /// The channel with the largest motion counts, because the others can be dead.
+    fn shows_motion(&self, window: &Coefficients) -> bool {
+        let present = (0..self.channels.len()).filter_map(|member| {
+            let bins = window.low(member)?;
+            let power: f64 = bins.iter().map(Complex::norm_sqr).sum();
+            let of_ground = self.rigid[member].powi(2).recip();
+            Some((
+                of_ground * power / bins.len() as f64,
+                of_ground * self.noise_power(member),
+            ))
+        });
+        let (motions, mut noises): (Vec<f64>, Vec<f64>) = present.unzip();
+        noises.sort_unstable_by(f64::total_cmp);
+        let half = noises.get(noises.len().saturating_sub(1) / 2);
+        half.is_some_and(|noise| motions.iter().any(|motion| motion > noise))
+    }
+
     /// Returns `true` if a channel measures much more than its stated noise, and there are others to
     /// measure it as well.
     fn is_loud(&self, memory: &Memory) -> bool {
         if memory.present().iter().filter(|present| **present).count() < 2 {
             return false;
         }
-        let of_noise = |noise_std: &f64| LOUD * noise_std * noise_std * self.spectrum.noise_power();
-        let mut all = self.noise_std.iter().enumerate();
-        all.any(|(member, noise_std)| memory.mean_power(member) > of_noise(noise_std))
+        let mut members = 0..self.channels.len();
+        members.any(|member| memory.mean_power(member) > LOUD * self.noise_power(member))
     }
 
     /// Updates what is known of a member by a comparison.

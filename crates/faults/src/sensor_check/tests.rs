@@ -529,3 +529,19 @@ fn gap_of_all_sensors_puts_none_in_doubt() {
         assert_eq!(check.health()[FLOOR_2].unwrap().soundness, Soundness::Sound);
     }
 }
+
+// At the end of records, where the motion was below the noise, sound sensors became faulty.
+#[test]
+fn motion_below_the_stated_noise_does_not_overrule_an_earlier_one() {
+    let motion = frames(&table(&[("noise-std = 0.3", "noise-std = 0.03")]));
+    for (size, expected) in [(0.005, &[][..]), (1.0, &[FLOOR_2])] {
+        let later = motion.iter().map(|values| {
+            let mut later: Vec<f64> = values.iter().map(|value| size * value).collect();
+            later[FLOOR_2] *= 1.6;
+            later
+        });
+        let all: Vec<Vec<f64>> = motion.iter().cloned().chain(later).collect();
+        let (_, changes) = checked(&all);
+        assert_eq!(suspected(&changes), expected, "{size}: {changes:?}");
+    }
+}
