@@ -281,8 +281,13 @@ pub fn respond(
 /// Writes the recordings of a building whose first storey has these stiffnesses, event by event, and
 /// returns their reports in the order of time.
 fn simulated_events(folder: &Path, events: &[(f64, f64)]) -> Vec<Value> {
+    events_of(folder, &building(), events)
+}
+
+/// Like [`simulated_events`], with this structure file of the building.
+fn events_of(folder: &Path, file: &str, events: &[(f64, f64)]) -> Vec<Value> {
     let structure = folder.join("block-7.toml");
-    std::fs::write(&structure, building()).unwrap();
+    std::fs::write(&structure, file).unwrap();
     let mut paths = Vec::new();
     for (index, (peak, first_storey)) in events.iter().enumerate() {
         let start_s = 1_600_000_000 + 2_592_000 * index;
@@ -365,6 +370,68 @@ fn building_that_loses_a_storey_for_good_is_found_from_weak_motion() {
         loss["loss"]["interval"]["high"].as_f64().unwrap(),
     );
     assert!((low..=high).contains(&truth), "{truth}: {low} to {high}");
+}
+
+#[test]
+fn unpredicted_stiffness_in_weak_motion_is_the_headline_also_without_strong_shaking() {
+    let folder = tempfile::tempdir().unwrap();
+    let sound = [WEAK; 5].map(|peak| (peak, 1.0));
+    let events: Vec<(f64, f64)> = sound.into_iter().chain([(WEAK, 0.5)]).collect();
+    let reports = simulated_events(folder.path(), &events);
+    let headline = |index: usize| reports[index]["headline"].as_str().unwrap();
+    let urgency = |index: usize| reports[index]["urgency"].as_str().unwrap();
+    // Three earlier events are required for a prediction.
+    for (index, found) in ["0 earlier events", "1 earlier event ", "2 earlier events"]
+        .into_iter()
+        .enumerate()
+    {
+        let text = headline(index);
+        assert!(text.contains("Nothing is judged: "), "{text}");
+        assert!(
+            text.contains(found) && text.contains("3 are required"),
+            "{text}"
+        );
+        assert!(!text.contains("no sign of change"), "{text}");
+        let reasons = reports[index]["not_judged"].to_string();
+        assert!(reasons.contains(found), "{reasons}");
+    }
+    for index in [3, 4] {
+        let text = headline(index);
+        assert!(text.contains("no sign of change"), "{text}");
+        assert_eq!(urgency(index), "no-action", "{text}");
+    }
+    let text = headline(5);
+    assert!(
+        text.starts_with("In weak motion, the stiffness of "),
+        "{text}"
+    );
+    assert!(text.contains(" of nominal, below the "), "{text}");
+    assert!(text.ends_with("Inspect this structure."), "{text}");
+    assert!(!text.contains("no sign of change"), "{text}");
+    assert_eq!((urgency(5), &reports[5]["rank"]), ("inspect", &2.into()));
+    // The list ranks the structure by this report.
+    let list = std::fs::read_to_string(folder.path().join("reports/index.html")).unwrap();
+    let first = &list[..list.find("</tr>\n").unwrap()];
+    assert!(
+        first.contains("<span class=\"badge u2\">inspect</span>"),
+        "{first}"
+    );
+}
+
+#[test]
+fn alert_that_is_raised_in_weak_motion_is_the_headline() {
+    let folder = tempfile::tempdir().unwrap();
+    let rule = "\n[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.1\ncredibility = 0.99\n\
+                sustain-s = 2\nreference = { design-std = 0.05 }\n";
+    let file = building() + rule;
+    let reports = events_of(folder.path(), &file, &[(WEAK, 0.5)]);
+    let text = reports[0]["headline"].as_str().unwrap();
+    assert!(
+        text.starts_with("An alert is raised: storey-1 has lost "),
+        "{text}"
+    );
+    assert_eq!(reports[0]["urgency"], "inspect", "{text}");
+    assert!(!text.contains("no sign of change"), "{text}");
 }
 
 /// Returns the lowest root of det(K − λM) of the chain, in units of k/m, by bisection of the sign of

@@ -56,7 +56,7 @@ pub mod sequence;
 pub mod urgency;
 
 pub use amplitude::{Expected, Softened};
-pub use between::{Coverage, EventValue, Interval, Pooled, leave_one_out};
+pub use between::{Coverage, EventValue, FEWEST_EVENTS, Interval, Pooled, leave_one_out};
 pub use course::{CoursePoint, EventCourse, FrameEstimate, WeakMotion};
 pub use detection::{
     Cut, CutKind, Detected, Detection, DetectionSettings, DetectionState, Due, Ending,

@@ -210,6 +210,16 @@ pub struct EventJudgement {
 }
 
 impl EventJudgement {
+    /// Returns the number of earlier events with weak motion, from which the weak motion of this one
+    /// is predicted.
+    #[must_use]
+    pub fn earlier(&self) -> usize {
+        self.reference.map_or(0, |reference| match reference.kind {
+            ReferenceKind::Events | ReferenceKind::FewEvents => reference.events,
+            ReferenceKind::OwnWeakMotion | ReferenceKind::OwnRecovery => 0,
+        })
+    }
+
     /// Returns the raised lasting loss since the latest event, if any.
     #[must_use]
     pub fn raised(&self) -> Option<(usize, LastingLoss)> {

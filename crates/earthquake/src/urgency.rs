@@ -9,11 +9,12 @@ pub enum Urgency {
     /// A lasting loss is raised, or the structure softened more than predicted from its earlier
     /// events.
     InspectFirst,
-    /// The structure softened, and whether it recovered is not judged; or a lasting loss is probable.
+    /// The structure softened, and whether it recovered is not judged. Or a lasting loss is
+    /// probable, the stiffness in weak motion is not as predicted, or an alert is raised.
     Inspect,
     /// Strong shaking without a sign of lasting loss, or a sensor in doubt.
     Watch,
-    /// Weak motion, and nothing new.
+    /// Weak motion without a sign of change, or weak motion from which nothing can be judged.
     NoAction,
 }
 

@@ -5,9 +5,10 @@ use super::identified::{Identified, ResponsePeak};
 use super::wording;
 use crate::error::AppError;
 use crate::sensor_report::{advice, word};
-use crate::summary::{FitSummary, Samples};
+use crate::summary::{AlertSummary, FitSummary, Samples};
 use jiff::Timestamp;
 use serde::Serialize;
+use spandrel_bus::AlertState;
 use spandrel_earthquake::{
     Coverage, EventCourse, EventJudgement, Interval, JudgeSettings, LastingLoss, Urgency, Window,
 };
@@ -235,6 +236,8 @@ pub struct EventReport {
     pub judged: Vec<String>,
     /// What is not judged, and why.
     pub not_judged: Vec<String>,
+    /// Alerts that are raised at the end of a record of weak motion, as sentences.
+    pub alerts: Vec<String>,
     /// Largest acceleration of the structure (m/s²).
     pub peak_m_per_s2: f64,
     /// The sensors.
@@ -321,6 +324,7 @@ impl EventReport {
             happened: Vec::new(),
             judged: Vec::new(),
             not_judged: Vec::new(),
+            alerts: Vec::new(),
             peak_m_per_s2: peak,
             ground_spectra: ground_spectra(structure, record)?,
             sensors,
@@ -331,6 +335,10 @@ impl EventReport {
             fit: identified.summary.fit,
             samples: identified.summary.samples,
         };
+        // Strong motion softens a structure, so that a rule is no judgement of it.
+        if !report.shook() {
+            report.alerts = raised_at_end(&identified.summary.alerts);
+        }
         report.urgency = report.judged_urgency();
         report.rank = report.urgency.rank();
         report.happened = wording::happened(&report);
@@ -377,6 +385,26 @@ impl EventReport {
         !self.parameters.is_empty() && self.decisive().all(is_judged)
     }
 
+    /// Returns the stiffness in weak motion that lies farthest outside the interval that the earlier
+    /// events predict, with its interval. `None` if all lie inside, or if a lasting loss of this
+    /// stiffness is probable: it compares more events.
+    pub fn unpredicted(&self) -> Option<(&ParameterReport, f64, Interval)> {
+        let each = self.parameters.iter().filter_map(|parameter| {
+            let weak = parameter.judgement.weak?;
+            let (stiffness, interval) = (weak.motion.y.exp(), weak.predicted?);
+            let is_explained = parameter
+                .judgement
+                .most_probable()
+                .is_some_and(|(_, loss)| loss.probability >= 0.5);
+            let is_outside = !interval.contains(stiffness) && !is_explained;
+            is_outside.then_some((parameter, stiffness, interval))
+        });
+        let distance = |(_, k, interval): &(&ParameterReport, f64, Interval)| {
+            (interval.low / k).max(k / interval.high)
+        };
+        each.max_by(|a, b| distance(a).total_cmp(&distance(b)))
+    }
+
     fn judged_urgency(&self) -> Urgency {
         let is_beyond = self.decisive().any(|parameter| {
             let raised = parameter.judgement.softening.filter(|one| one.is_raised);
@@ -388,7 +416,8 @@ impl EventReport {
             return Urgency::InspectFirst;
         }
         let is_unjudged = self.shook() && !self.own_is_judged();
-        if is_unjudged || worst.is_some_and(|loss| loss.probability >= 0.5) {
+        let is_changed = self.unpredicted().is_some() || !self.alerts.is_empty();
+        if is_unjudged || is_changed || worst.is_some_and(|loss| loss.probability >= 0.5) {
             return Urgency::Inspect;
         }
         let has_doubt = self
@@ -408,6 +437,21 @@ impl EventReport {
         serde_json::to_string_pretty(self)
             .map_or_else(|error| error.to_string(), |text| text + "\n")
     }
+}
+
+/// Returns the sentences of the alerts that are still raised after the last change.
+fn raised_at_end(alerts: &[AlertSummary]) -> Vec<String> {
+    let is_last = |index: usize| {
+        let later = &alerts[index + 1..];
+        later
+            .iter()
+            .all(|other| other.parameter != alerts[index].parameter)
+    };
+    let raised = alerts
+        .iter()
+        .enumerate()
+        .filter(|(index, alert)| alert.state != AlertState::Cleared && is_last(*index));
+    raised.map(|(_, alert)| alert.why.clone()).collect()
 }
 
 fn ground_spectra(

@@ -1,8 +1,11 @@
 //! The judgement of an event in sentences.
 
+mod weak;
+
 use super::report::{EventName, EventReport, ParameterReport, Source};
 use spandrel_earthquake::motion::GRAVITY;
 use spandrel_earthquake::{LastingLoss, ReferenceKind, Softening, Urgency, Waiting};
+use weak::{alerted, is_predicted, ratios, unpredictable, unpredicted_headline, weak_headline};
 
 /// Formats a share in per cent without decimals, with the typographic minus sign.
 pub fn percent(share: f64) -> String {
@@ -70,7 +73,8 @@ pub fn happened(report: &EventReport) -> Vec<String> {
 
 /// What is judged.
 pub fn judged(report: &EventReport) -> Vec<String> {
-    let mut sentences = Vec::new();
+    let alerts = report.alerts.iter();
+    let mut sentences: Vec<String> = alerts.map(|why| alerted(why)).collect();
     for parameter in &report.parameters {
         let name = &parameter.name;
         if let Some(softening) = &parameter.judgement.softening {
@@ -92,9 +96,8 @@ pub fn judged(report: &EventReport) -> Vec<String> {
             );
             text += &match weak.predicted {
                 Some(interval) => format!(
-                    "; for this structure, the earlier events predict {:.2} to {:.2}, and it lies {}.",
-                    interval.low,
-                    interval.high,
+                    "; for this structure, the earlier events predict {}, and it lies {}.",
+                    ratios(interval),
                     if interval.contains(weak.motion.y.exp()) {
                         "inside"
                     } else {
@@ -145,6 +148,12 @@ fn unjudged(report: &EventReport) -> Vec<String> {
             sentences.push(format!(
                 "{name}: the record teaches nothing about this stiffness. It moves too little, or its \
                  data cannot be used."
+            ));
+        }
+        if !report.shook() && !parameter.course.points.is_empty() && !is_predicted(parameter) {
+            sentences.push(format!(
+                "{name}: a change in weak motion is not judged, because {}.",
+                unpredictable(parameter)
             ));
         }
         if parameter.course.has_shaking && judgement.softening.is_none() {
@@ -203,12 +212,17 @@ fn unjudged(report: &EventReport) -> Vec<String> {
 
 /// The result in one or two sentences.
 pub fn headline(report: &EventReport) -> String {
-    let parts = [softening_headline(report), lasting_headline(report)];
+    let parts = [
+        softening_headline(report),
+        report.alerts.first().map(|why| alerted(why)),
+        unpredicted_headline(report),
+        lasting_headline(report),
+    ];
     let told: Vec<String> = parts.into_iter().flatten().collect();
     let told = if told.is_empty() {
         match report.shook() {
             true => "Strong shaking whose effect on the stiffness is not known.".to_owned(),
-            false => "Weak motion, no sign of change.".to_owned(),
+            false => weak_headline(report),
         }
     } else {
         told.join(" ")
@@ -271,6 +285,10 @@ fn lasting_headline(report: &EventReport) -> Option<String> {
             percent(loss.loss),
             probability(loss.probability)
         ),
+        // What other records show says nothing of a record that is not as predicted or shows nothing.
+        _ if report.unpredicted().is_some() || !(report.shook() || is_predicted(parameter)) => {
+            return waits;
+        }
         loss => match waits {
             Some(waits) => return Some(waits),
             None => format!(
@@ -422,10 +440,23 @@ pub fn line(report: &EventReport) -> String {
     });
     let softening: Vec<String> = softening.collect();
     let waits = report.shook() && !report.own_is_judged();
-    let told = report
-        .worst_loss()
-        .filter(|(_, _, loss)| !waits || loss.is_raised || loss.probability >= 0.5);
+    let unpredicted = report.unpredicted();
+    let told = report.worst_loss().filter(|(parameter, _, loss)| {
+        let is_silent = waits || unpredicted.is_some();
+        let is_shown = report.shook() || is_predicted(parameter);
+        (!is_silent && is_shown) || loss.is_raised || loss.probability >= 0.5
+    });
     let mut lasting = Vec::new();
+    if !report.alerts.is_empty() {
+        lasting.push("an alert is raised".to_owned());
+    }
+    if let Some((parameter, stiffness, interval)) = unpredicted {
+        lasting.push(format!(
+            "weak motion: {} {stiffness:.2}, outside the predicted {}",
+            parameter.name,
+            ratios(interval)
+        ));
+    }
     if waits {
         lasting.push("lasting loss: not judged yet".to_owned());
     }
@@ -450,7 +481,11 @@ pub fn line(report: &EventReport) -> String {
         ));
     }
     if lasting.is_empty() {
-        lasting.push("lasting loss: nothing to judge".to_owned());
+        let is_judged = report.parameters.iter().any(is_predicted);
+        lasting.push(match is_judged {
+            true => "weak motion as predicted".to_owned(),
+            false => "nothing judged".to_owned(),
+        });
     }
     let lasting = lasting.join("; ");
     format!(

@@ -1,0 +1,80 @@
+//! Weak motion in sentences: what was predicted, and what was found.
+
+use super::super::report::{EventReport, ParameterReport};
+use spandrel_earthquake::{FEWEST_EVENTS, Interval};
+
+/// An alert, as a sentence.
+pub(super) fn alerted(why: &str) -> String {
+    format!("An alert is raised: {why}.")
+}
+
+/// A stiffness in weak motion that is not as predicted.
+pub(super) fn unpredicted_headline(report: &EventReport) -> Option<String> {
+    let (parameter, stiffness, interval) = report.unpredicted()?;
+    Some(format!(
+        "In weak motion, the stiffness of {} is {stiffness:.2} of nominal, {} the {} that the \
+         earlier events predict. A further record of weak motion can confirm it.",
+        parameter.name,
+        if stiffness < interval.low {
+            "below"
+        } else {
+            "above"
+        },
+        ratios(interval)
+    ))
+}
+
+/// Formats an interval of ratios: `0.87 to 1.21`.
+pub(super) fn ratios(interval: Interval) -> String {
+    format!("{:.2} to {:.2}", interval.low, interval.high)
+}
+
+/// The result of weak motion in which nothing stands out. Only a stiffness with a prediction can show
+/// no sign of change.
+pub(super) fn weak_headline(report: &EventReport) -> String {
+    let names = |parameters: &[&ParameterReport]| {
+        let names = parameters.iter().map(|parameter| parameter.name.as_str());
+        names.collect::<Vec<_>>().join(", ")
+    };
+    let (judged, unjudged): (Vec<_>, Vec<_>) = report
+        .parameters
+        .iter()
+        .partition(|parameter| is_predicted(parameter));
+    match (judged.is_empty(), unjudged.first()) {
+        (true, None) => "Weak motion. Nothing is judged, because the structure file has no \
+                         [[parameter]] that scales a stiffness."
+            .to_owned(),
+        (true, Some(first)) => format!("Weak motion. Nothing is judged: {}.", unpredictable(first)),
+        (false, None) => {
+            "Weak motion, no sign of change: the stiffness is as the earlier events predict."
+                .to_owned()
+        }
+        (false, Some(_)) => format!(
+            "Weak motion, no sign of change of {}. Not judged: {}.",
+            names(&judged),
+            names(&unjudged)
+        ),
+    }
+}
+
+/// Returns `true` if the weak motion of the record can be compared with a prediction.
+pub(super) fn is_predicted(parameter: &ParameterReport) -> bool {
+    let weak = parameter.judgement.weak;
+    weak.is_some_and(|weak| weak.predicted.is_some())
+}
+
+/// Why the weak motion of a record cannot be compared with a prediction.
+pub(super) fn unpredictable(parameter: &ParameterReport) -> String {
+    if parameter.judgement.weak.is_none() {
+        return format!(
+            "the record shows no stiffness of {} in weak motion",
+            parameter.name
+        );
+    }
+    let found = parameter.judgement.earlier();
+    format!(
+        "the records contain {found} earlier event{} with weak motion, and {FEWEST_EVENTS} are \
+         required",
+        if found == 1 { "" } else { "s" }
+    )
+}
