@@ -469,6 +469,165 @@ fn data_that_contradict_the_model_give_no_baseline() {
     assert!(!output.exists());
 }
 
+/// Returns a record with empty cells in these columns from 12 s on.
+fn emptied(record: &str, columns: std::ops::RangeInclusive<usize>) -> String {
+    let row = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let is_late = cells[0].parse::<f64>().is_ok_and(|time_s| time_s >= 12.0);
+        let cell = |(column, cell): (usize, &&str)| match is_late && columns.contains(&column) {
+            true => String::new(),
+            false => (*cell).to_owned(),
+        };
+        let cells: Vec<String> = cells.iter().enumerate().map(cell).collect();
+        cells.join(",") + "\n"
+    };
+    record.lines().map(row).collect()
+}
+
+#[test]
+fn a_baseline_leaves_out_recordings_that_show_nothing_and_names_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let demo = example("demo.toml");
+    for (name, seed) in [("monday.csv", "1"), ("friday.csv", "3")] {
+        let record = path(name);
+        let simulate = ["simulate", demo.to_str().unwrap(), "--duration", "45"];
+        let more = ["--seed", seed, "--record", record.to_str().unwrap()];
+        assert!(spandrel(&[&simulate[..], &more].concat()).status.success());
+    }
+    let sound = std::fs::read_to_string(path("monday.csv")).unwrap();
+    // The columns: time, ground, and five floors.
+    std::fs::write(path("silent.csv"), emptied(&sound, 1..=1)).unwrap();
+    std::fs::write(path("blind.csv"), emptied(&sound, 2..=6)).unwrap();
+    std::fs::write(path("one-floor.csv"), emptied(&sound, 2..=5)).unwrap();
+    let swapped = sound.replacen("floor-1", "floor-?", 1);
+    let swapped = swapped.replacen("floor-5", "floor-1", 1);
+    let swapped = swapped.replacen("floor-?", "floor-5", 1);
+    std::fs::write(path("swapped.csv"), swapped).unwrap();
+    let baseline = |records: &[&str]| {
+        let output = path("baseline.json");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+        command
+            .arg("baseline")
+            .arg(&demo)
+            .arg("--output")
+            .arg(output);
+        for record in records {
+            command.arg("--record").arg(path(record));
+        }
+        command.output().unwrap()
+    };
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+
+    let bad = ["silent.csv", "blind.csv", "swapped.csv"];
+    let told = baseline(&bad);
+    assert_eq!(told.status.code(), Some(2), "{told:?}");
+    assert!(!path("baseline.json").exists());
+    let error = text(&told.stderr);
+    let none = "none of the 3 recordings is usable for a baseline";
+    assert!(error.contains(none), "{error}");
+
+    let all = [
+        "monday.csv",
+        "one-floor.csv",
+        bad[0],
+        bad[1],
+        bad[2],
+        "friday.csv",
+    ];
+    let told = baseline(&all);
+    assert_eq!(told.status.code(), Some(0), "{told:?}");
+    let told = text(&told.stdout);
+    println!("{told}");
+    assert!(
+        told.contains("baseline of demo from 3 recordings"),
+        "{told}"
+    );
+    let left_out: Vec<&str> = { told.lines() }
+        .filter(|line| line.starts_with("left out: "))
+        .collect();
+    let expected = [
+        "silent.csv: the measured excitation is missing, faulty or in doubt for ",
+        "blind.csv: all sensors on the structure are missing, faulty or in doubt for ",
+        "swapped.csv: the data contradict the model in ",
+    ];
+    assert_eq!(left_out.len(), expected.len(), "{told}");
+    for (line, expected) in left_out.iter().zip(expected) {
+        assert!(line.contains(expected), "{told}");
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn a_baseline_leaves_out_an_uncertain_parameter_that_no_rule_watches() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    // Motion far below the noise teaches nothing.
+    let demo = std::fs::read_to_string(example("demo.toml")).unwrap();
+    let quiet = demo.replace("std = 0.1  ", "std = 0.002  ");
+    assert_ne!(quiet, demo);
+    let watched = quiet.replace("parameters = \"stiffness\"", "parameters = \"all\"");
+    assert_ne!(watched, quiet);
+    std::fs::write(path("quiet.toml"), quiet).unwrap();
+    std::fs::write(path("watched.toml"), watched).unwrap();
+    simulate(&path("quiet.toml"), &path("monday.csv"), "30");
+    let (record, output) = (path("monday.csv"), path("baseline.json"));
+    let baseline = |structure: &str| {
+        spandrel(&[
+            "baseline",
+            path(structure).to_str().unwrap(),
+            "--between-std",
+            "0.01",
+            "--record",
+            record.to_str().unwrap(),
+            "--output",
+            output.to_str().unwrap(),
+        ])
+    };
+    let told = baseline("watched.toml");
+    assert_ne!(told.status.code(), Some(0), "{told:?}");
+    let error = String::from_utf8_lossy(&told.stderr).into_owned();
+    assert!(error.contains("parameter `damping`"), "{error}");
+    assert!(!output.exists());
+
+    let told = baseline("quiet.toml");
+    assert_eq!(told.status.code(), Some(0), "{told:?}");
+    let text = String::from_utf8_lossy(&told.stdout).into_owned();
+    println!("{text}");
+    let line = text.lines().find(|line| line.starts_with("left out: "));
+    let line = line.unwrap_or_else(|| panic!("{text}"));
+    for part in [
+        "parameter damping",
+        "no rule watches",
+        "± 0.5000",
+        "a std below 0.5",
+    ] {
+        assert!(line.contains(part), "{part}: {line}");
+    }
+    let file: Value = serde_json::from_slice(&std::fs::read(&output).unwrap()).unwrap();
+    let parameters = file["parameters"].as_array().unwrap();
+    let names: Vec<&str> = { parameters.iter() }
+        .map(|parameter| parameter["parameter"].as_str().unwrap())
+        .collect();
+    assert_eq!(
+        names,
+        ["storey-1", "storey-2", "storey-3", "storey-4", "storey-5"]
+    );
+    for without in file["without_sensor"].as_array().unwrap() {
+        assert_eq!(without["changes"].as_array().unwrap().len(), names.len());
+    }
+    // The file is usable: an interval for each parameter that it contains.
+    let path = output.to_str().unwrap();
+    let found = summary(
+        &folder.path().join("quiet.toml"),
+        &record,
+        &["--baseline", path],
+    );
+    let interval = |name: &str| &found["parameters"][name]["for_this_structure"];
+    assert!(interval("storey-5").is_object(), "{found}");
+    assert!(interval("damping").is_null(), "{found}");
+}
+
 #[test]
 fn particles_follow_a_linear_structure_without_parameters() {
     let folder = tempfile::tempdir().unwrap();

@@ -57,7 +57,7 @@ pub struct WithoutSensor {
     /// Name of the channel.
     pub channel: String,
     /// Root mean square of the change of each parameter over the records, as ratios to nominal, in
-    /// state order.
+    /// the order of the parameters of the baseline.
     pub changes: Vec<f64>,
 }
 
@@ -129,11 +129,23 @@ impl RecordSummary {
             .collect::<Option<_>>()?;
         Some(Self { parameters })
     }
+
+    /// Returns the summary of these parameters, by their indices in this summary. Other indices are
+    /// skipped.
+    #[must_use]
+    pub fn of_parameters(&self, indices: &[usize]) -> Self {
+        let found = indices
+            .iter()
+            .filter_map(|index| self.parameters.get(*index));
+        Self {
+            parameters: found.copied().collect(),
+        }
+    }
 }
 
 impl Baseline {
     /// Combines several records into the baseline of `structure`. `parameters` contains the names
-    /// in state order.
+    /// of the parameters of each record, in their order.
     ///
     /// # Errors
     /// Fails if there are no records, or if a record has a different number of parameters. Also
@@ -222,12 +234,13 @@ impl Baseline {
         &self.sensors
     }
 
-    /// Returns the usual change of a parameter, by its index, if a channel is left out (ratio to
-    /// nominal). `None` if it is unknown.
-    pub fn change_without(&self, channel: &str, parameter: usize) -> Option<f64> {
+    /// Returns the usual change of a parameter if a channel is left out (ratio to nominal). `None`
+    /// if it is unknown.
+    pub fn change_without(&self, channel: &str, parameter: &str) -> Option<f64> {
         let mut all = self.without_sensor.iter();
         let found = all.find(|without| without.channel == channel)?;
-        found.changes.get(parameter).copied()
+        let index = self.parameters().position(|name| name == parameter)?;
+        found.changes.get(index).copied()
     }
 
     /// Returns the name of the structure.

@@ -19,7 +19,7 @@ pub enum AlertError {
     },
     /// A reference is not positive, or too uncertain.
     #[error(
-        "reference is {mean} ± {std}, must be positive and more than 3 standard deviations from zero"
+        "reference is {mean:.4} ± {std:.4}, must be positive and more than 3 standard deviations from zero"
     )]
     Reference {
         /// Mean of the reference, as a ratio to nominal.

@@ -469,7 +469,9 @@ fn changes_without(
 ) -> Vec<Option<f64>> {
     let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
     let rows = structure.observation_channels().iter();
-    let change = |channel: &usize| baseline?.change_without(names.get(*channel)?, parameter);
+    let parameter = structure.parameters().get(parameter);
+    let change =
+        |channel: &usize| baseline?.change_without(names.get(*channel)?, parameter?.name());
     rows.map(change).collect()
 }
 

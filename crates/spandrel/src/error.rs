@@ -496,6 +496,28 @@ pub enum AppError {
         /// Largest allowed share.
         largest: f64,
     },
+    /// The excitation or the response of a recording is unknown for most of the time.
+    #[error(
+        "{}: {what} missing, faulty or in doubt for {:.0} % of the time, at most {:.0} % are allowed; \
+         check the sensors with spandrel check --record",
+        path.display(), 100.0 * share, 100.0 * largest
+    )]
+    BaselineUnmeasured {
+        /// Path of the recording.
+        path: PathBuf,
+        /// What is unknown, with its verb.
+        what: &'static str,
+        /// Share of the time.
+        share: f64,
+        /// Largest allowed share.
+        largest: f64,
+    },
+    /// No recording is usable for a baseline.
+    #[error("none of the {} recordings is usable for a baseline:\n  {}", reasons.len(), reasons.join("\n  "))]
+    NoUsableRecordings {
+        /// Reason for each recording, with its path.
+        reasons: Vec<String>,
+    },
     /// The modes of a recording cannot be identified.
     #[error("{}: modes cannot be identified", path.display())]
     Modal {
@@ -677,6 +699,8 @@ impl AppError {
             | Self::OtherBaseline { .. }
             | Self::NothingLearnt { .. }
             | Self::BaselineContradicted { .. }
+            | Self::BaselineUnmeasured { .. }
+            | Self::NoUsableRecordings { .. }
             | Self::NoParameters { .. }
             | Self::Earthquake(_)
             | Self::NoAccelerations { .. }

@@ -130,6 +130,9 @@ impl Chain {
                 Output::Estimates(estimates) => {
                     self.watch.handle_block(&estimates, &mut self.alerts)?;
                     self.collector.take_estimates(&estimates);
+                    let suspected = self.identification.sensor_check().suspected();
+                    self.collector
+                        .take_suspected(suspected, estimates.estimates.len());
                     take(&estimates, &std::mem::take(&mut responses))?;
                 }
                 Output::Event(event) => spandrel_service::log_event(&event, self.start_ns),

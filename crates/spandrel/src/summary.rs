@@ -176,6 +176,8 @@ pub struct Collector {
     observed: Vec<Option<ObservedRelation>>,
     /// Channels that are in doubt or faulty at the end, as indices in a frame.
     suspected: Vec<usize>,
+    /// Number of frames in which each channel was in doubt or faulty.
+    suspected_frames: Vec<u64>,
     baseline: Option<Baseline>,
 }
 
@@ -205,6 +207,7 @@ impl Collector {
             effective_share: None,
             observed: Vec::new(),
             suspected: Vec::new(),
+            suspected_frames: vec![0; structure.channel_count()],
             baseline: None,
         }
     }
@@ -228,6 +231,20 @@ impl Collector {
     pub fn take_sensors(&mut self, observed: Vec<Option<ObservedRelation>>, suspected: Vec<usize>) {
         self.observed = observed;
         self.suspected = suspected;
+    }
+
+    /// Counts frames in which these channels (indices in a frame) were in doubt or faulty.
+    pub fn take_suspected(&mut self, suspected: impl Iterator<Item = usize>, frames: usize) {
+        for channel in suspected {
+            if let Some(count) = self.suspected_frames.get_mut(channel) {
+                *count += frames as u64;
+            }
+        }
+    }
+
+    /// Returns the number of frames in which a channel was in doubt or faulty.
+    pub fn suspected_frames(&self, channel: usize) -> u64 {
+        self.suspected_frames.get(channel).copied().unwrap_or(0)
     }
 
     /// Returns the channels that are in doubt or faulty at the end, as indices in a frame.

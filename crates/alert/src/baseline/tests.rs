@@ -348,17 +348,17 @@ fn file_contains_sensor_references_and_the_change_without_each_sensor() {
         .with_sensors(vec![sensor(0.9)])
         .with_left_out("roof", &records, &without)
         .with_left_out("floor", &records, &[None, None]);
-    let change = baseline.change_without("roof", 0).unwrap();
+    let change = baseline.change_without("roof", "storey-1").unwrap();
     assert!(
         (change - (17e-4_f64 * 1.5).sqrt()).abs() < 1e-12,
         "{change}"
     );
     assert_eq!(
-        baseline.change_without("floor", 0),
+        baseline.change_without("floor", "storey-1"),
         None,
         "no record shows it"
     );
-    assert_eq!(baseline.change_without("cellar", 0), None);
+    assert_eq!(baseline.change_without("cellar", "storey-1"), None);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("baseline.json");
     baseline.write(&path).unwrap();
@@ -392,4 +392,25 @@ fn file_of_version_2_has_no_sensors() {
     let baseline = Baseline::read(&path).unwrap();
     assert!(baseline.sensors().is_empty() && !baseline.is_old_file());
     assert!((baseline.parameter("storey-1").unwrap().mean - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn parameters_that_are_left_out_do_not_shift_the_changes_of_the_others() {
+    let record = |storeys: [f64; 3]| {
+        let frame = storeys.map(|mean| (mean, 0.01));
+        RecordSummary::from_estimates([frame]).unwrap()
+    };
+    let kept = [0, 2];
+    let records = [record([1.0, 9.0, 0.8])].map(|one| one.of_parameters(&kept));
+    let without = [Some(record([1.01, 5.0, 0.83]).of_parameters(&kept))];
+    let names = ["storey-1", "storey-3"];
+    let baseline =
+        Baseline::from_records("tower", &names, &records, BetweenRecords::Stated(0.1)).unwrap();
+    let baseline = baseline.with_left_out("roof", &records, &without);
+    assert!((baseline.parameter("storey-3").unwrap().mean - 0.8).abs() < 1e-12);
+    // One record: its change times √(1 + 1).
+    let change = |name| baseline.change_without("roof", name);
+    assert!((change("storey-1").unwrap() - 0.01 * 2.0_f64.sqrt()).abs() < 1e-12);
+    assert!((change("storey-3").unwrap() - 0.03 * 2.0_f64.sqrt()).abs() < 1e-12);
+    assert_eq!(change("storey-2"), None);
 }
