@@ -11,6 +11,17 @@ pub enum TimeOrigin {
     Start,
 }
 
+/// How reliably a file dates the first sample of a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum StartTime {
+    /// As reliably as its format requires.
+    Stated,
+    /// By a clock that the file itself calls one of low quality.
+    LowQuality,
+    /// Not at all, although files of its format usually do.
+    Missing,
+}
+
 /// Evenly spaced samples, one per time step, without a gap in time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Segment {
@@ -53,6 +64,7 @@ pub struct RecordedChannel {
     description: Option<String>,
     sampling_rate_hz: Option<f64>,
     origin: TimeOrigin,
+    start_time: StartTime,
     event_ns: Option<i64>,
     clock_quality: Option<u8>,
     segments: Vec<Segment>,
@@ -74,6 +86,7 @@ impl RecordedChannel {
             description: None,
             sampling_rate_hz,
             origin: TimeOrigin::Start,
+            start_time: StartTime::Stated,
             event_ns: None,
             clock_quality: None,
             segments: segments
@@ -137,6 +150,30 @@ impl RecordedChannel {
         Self { origin, ..self }
     }
 
+    /// Sets how reliably the file dates the first sample.
+    pub(crate) fn with_start_time(self, start_time: StartTime) -> Self {
+        Self { start_time, ..self }
+    }
+
+    /// Returns how reliably the file dates the first sample.
+    pub(crate) fn start_time(&self) -> StartTime {
+        self.start_time
+    }
+
+    /// Moves the first sample to `start_ns` (ns since `origin`), and all others with it.
+    pub(crate) fn starting_at(self, start_ns: i64, origin: TimeOrigin) -> Self {
+        let later_ns = start_ns.saturating_sub(self.start_ns().unwrap_or(start_ns));
+        let moved = |segment: Segment| Segment {
+            start_ns: segment.start_ns.saturating_add(later_ns),
+            ..segment
+        };
+        Self {
+            origin,
+            segments: self.segments.into_iter().map(moved).collect(),
+            ..self
+        }
+    }
+
     /// Sets the lowest quality of the times, per cent.
     pub(crate) fn with_clock_quality(self, clock_quality: Option<u8>) -> Self {
         Self {
@@ -164,6 +201,7 @@ impl RecordedChannel {
             unit,
             description,
             origin,
+            start_time,
             event_ns,
             clock_quality,
             ..
@@ -173,6 +211,7 @@ impl RecordedChannel {
             unit,
             description,
             origin,
+            start_time,
             event_ns,
             clock_quality,
             sampling_rate_hz: Some(rate_hz),

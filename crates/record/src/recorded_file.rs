@@ -2,6 +2,7 @@
 
 mod frame_log_folder;
 mod members;
+mod starts;
 
 use std::io::{self, BufReader, Cursor};
 use std::path::{Path, PathBuf};
@@ -31,6 +32,7 @@ pub struct RecordedFile {
     format: Format,
     channels: Vec<RecordedChannel>,
     remarks: Vec<String>,
+    doubts: Vec<String>,
 }
 
 /// Maximum nesting depth of archives.
@@ -68,14 +70,17 @@ impl RecordedFile {
         let Contents {
             format,
             channels,
-            remarks,
+            mut remarks,
         } = contents;
+        let (channels, doubts) = starts::align(format, channels);
+        remarks.extend_from_slice(&doubts);
         let channels = channels.into_iter().map(declared).collect();
         Ok(Self {
             path: path.to_owned(),
             format,
             channels,
             remarks,
+            doubts,
         })
     }
 
@@ -86,6 +91,7 @@ impl RecordedFile {
             format,
             channels,
             remarks: Vec::new(),
+            doubts: Vec::new(),
         }
     }
 
@@ -107,6 +113,12 @@ impl RecordedFile {
     /// Returns remarks for the user, such as a truncated file or ignored files of an archive.
     pub fn remarks(&self) -> &[String] {
         &self.remarks
+    }
+
+    /// Returns those remarks that a computation with the recording should repeat: the times of some
+    /// channels are assumed, or do not fit together.
+    pub fn doubts(&self) -> &[String] {
+        &self.doubts
     }
 
     /// Keeps only the channels of a mapping, or all channels if none matches. Later steps report

@@ -34,6 +34,7 @@ pub struct Recording {
     rows_in_head: usize,
     offsets: Vec<Option<f64>>,
     values: Vec<f64>,
+    doubts: Vec<String>,
 }
 
 /// Policy for the conversion of a recording to another sampling rate.
@@ -85,21 +86,20 @@ impl Recording {
         offset: OffsetRemoval,
         resampling: Resampling,
     ) -> Result<Self, RecordError> {
-        let reader: Box<dyn RecordReader> = match resampling {
+        let read = || RecordedFile::read(path, &options_of(mapping));
+        let file = match resampling {
             Resampling::None => match table_reader(path, mapping)? {
-                Some(reader) => Box::new(reader),
-                None => Box::new(RecordedRows::new(
-                    &RecordedFile::read(path, &options_of(mapping))?,
-                    mapping,
-                )?),
+                Some(reader) => return Self::new(Box::new(reader), offset),
+                None => read()?,
             },
-            Resampling::To { rate_hz } => {
-                // Channels that are not required need not be filtered.
-                let file = RecordedFile::read(path, &options_of(mapping))?.only(mapping);
-                Box::new(RecordedRows::new(&file.resampled(rate_hz)?, mapping)?)
-            }
+            // Channels that are not required need not be filtered.
+            Resampling::To { rate_hz } => read()?.only(mapping).resampled(rate_hz)?,
         };
-        Self::new(reader, offset)
+        let rows = RecordedRows::new(&file, mapping)?;
+        Ok(Self {
+            doubts: file.doubts().to_vec(),
+            ..Self::new(Box::new(rows), offset)?
+        })
     }
 
     /// Buffers the first rows of a reader.
@@ -148,6 +148,7 @@ impl Recording {
             head,
             offsets: means.iter().map(RunningMean::mean).collect(),
             values: vec![f64::NAN; channel_count],
+            doubts: Vec::new(),
         })
     }
 
@@ -180,6 +181,12 @@ impl Recording {
             found_hz,
             declared_hz,
         })
+    }
+
+    /// Returns remarks on the times of the channels, as [`RecordedFile::doubts`] does. Empty for a
+    /// table that is streamed.
+    pub fn doubts(&self) -> &[String] {
+        &self.doubts
     }
 
     /// Returns the offset that is subtracted from each channel, in SI units. An entry is `None` if

@@ -6,6 +6,7 @@ use spandrel_record::{
 };
 use spandrel_structure::{Quantity, Structure};
 use std::path::Path;
+use tracing::warn;
 
 /// Returns the column and unit of each channel of a structure in its recordings.
 ///
@@ -80,5 +81,8 @@ pub fn open_record(structure: &Structure, path: &Path) -> Result<Recording, Reco
     let recording =
         Recording::open_resampled(path, &column_mapping(structure)?, offset, resampling)?;
     recording.check_sampling_rate(structure.sampling_rate_hz())?;
+    for doubt in recording.doubts() {
+        warn!(record = %path.display(), doubt, "times of channels are in doubt");
+    }
     Ok(recording)
 }

@@ -17,6 +17,9 @@
 //! - `Rcrd of Fri Oct 11, 2013 16:05:59.0 PDT`. Such a file states its start to the minute only,
 //!   as `23:05 GMT (*LoQ*)`: the clock of the recorder was of low quality.
 //!
+//! A clock of low quality dates the event. Its times of several recorders of one event differ by up
+//! to an hour, although all of them were triggered together. They therefore cannot align channels.
+//!
 //! `(ORIGIN(USGS): 04/25/92, 18:06:04.2 GMT)` is the time of the earthquake. The recorder starts when
 //! its waves arrive, some seconds to a minute later. This time therefore dates the event, and no
 //! sample.
@@ -28,7 +31,7 @@ use super::text_lines::{NumberColumns, TextLines, columns_of, decimal, text_of};
 use crate::fault::Fault;
 use crate::rate::rate_from_step;
 use crate::record_time::civil_ns;
-use crate::recorded::{RecordedChannel, Segment, TimeOrigin};
+use crate::recorded::{RecordedChannel, Segment, StartTime, TimeOrigin};
 
 /// Default columns for files that do not state them.
 const COLUMNS: NumberColumns = NumberColumns {
@@ -63,6 +66,8 @@ struct Heading {
     start_ns: Option<i64>,
     /// Time of the first sample, as `Rcrd of` states it in local time.
     local_start_ns: Option<i64>,
+    /// Whether the clock was of low quality.
+    is_low_quality: bool,
     /// Time of the earthquake.
     event_ns: Option<i64>,
 }
@@ -170,12 +175,18 @@ fn read_block(
     } else {
         TimeOrigin::Start
     };
+    let start_time = match start_ns {
+        _ if heading.is_low_quality => StartTime::LowQuality,
+        Some(_) => StartTime::Stated,
+        None => StartTime::Missing,
+    };
     let channel = RecordedChannel::new(name, Some(rate_from_step(step_s)), vec![segment]);
     Ok(channel
         .with_unit(unit)
         .with_description(heading.place.clone())
         .with_event_ns(heading.event_ns)
-        .with_origin(origin))
+        .with_origin(origin)
+        .with_start_time(start_time))
 }
 
 impl Heading {
@@ -184,6 +195,7 @@ impl Heading {
         for key in ["start time:", "trigger time:"] {
             if let Some((_, rest)) = lower.split_once(key) {
                 self.start_ns = self.start_ns.or_else(|| universal_ns(rest));
+                self.is_low_quality |= rest.contains("*loq*");
             }
         }
         let local = ["rcrd of ", "record of "].map(|key| lower.strip_prefix(key));
@@ -326,8 +338,10 @@ mod tests {
             (channel.origin(), channel.event_ns()),
             (TimeOrigin::Epoch, None)
         );
+        assert_eq!(channel.start_time(), StartTime::LowQuality);
         let winter = dated("Rcrd of Thu Dec  8, 2016 06:50:16.0 PST\n");
         assert_eq!(winter.start_ns(), Some(1_481_208_616_000_000_000));
+        assert_eq!(winter.start_time(), StartTime::Stated);
     }
 
     #[test]

@@ -3,7 +3,7 @@ use std::io::{Cursor, Write};
 use proptest::prelude::*;
 
 use super::*;
-use crate::{OffsetRemoval, RecordReader, Recording, Resampling, TimeSource};
+use crate::{OffsetRemoval, RecordReader, Recording, Resampling, TimeOrigin, TimeSource};
 
 const TABLE: &str = "time,roof,base\n0.00,1,5\n0.01,2,6\n0.02,3,7\n";
 
@@ -55,6 +55,114 @@ fn archive_returns_its_recordings_and_lists_skipped_files() {
         [0.75, -0.5]
     );
     assert_eq!(file.remarks(), ["skipped, unknown format: ReadMe.txt"]);
+}
+
+const GOOD_CLOCK: &str = "Start time: 11/20/08, 19:23: 1.3 UTC (WWVB)";
+const LOW_QUALITY: &str =
+    "Record of Thu Nov 20, 2008 11:23:22.1 PST\nStart time: 11/20/08, 19:23 GMT (*LoQ*)";
+const LOW_QUALITY_WITHOUT_ZONE: &str = "Start time: 7/04/19, 17:35:07.3(*LoQ*)";
+const NO_CLOCK: &str = "Record of Fri Jul 5, 2019 20:19 PDT";
+/// Source: `date -u -d '2008-11-20T19:23:01Z' +%s`
+const GOOD_START_NS: i64 = 1_227_208_981_300_000_000;
+
+/// Returns a CSMIP file of channels with these numbers, lines of time and first samples.
+fn csmip(channels: &[(u32, &str, f64)]) -> String {
+    let mut text = String::new();
+    for (number, time, first) in channels {
+        text += &format!("Corrected accelerogram\n{time}\nChan {number}: Up   Location: Deck\n");
+        text += " 2 points of accel data equally spaced at 0.010 sec, in cm/sec2. (8f10.5)\n";
+        text += &format!("{first:10.5}{:10.5}\n", 0.5);
+        text += &format!("/&  ----------  End of data for channel  {number}  ----------\n");
+    }
+    text
+}
+
+/// Returns the archive of these files of one channel each.
+fn archive_of(channels: &[(u32, &str, f64)]) -> RecordedFile {
+    let files: Vec<(String, String)> = channels
+        .iter()
+        .map(|channel| (format!("CHAN{:03}.V2", channel.0), csmip(&[*channel])))
+        .collect();
+    let members: Vec<(&str, &[u8])> = files
+        .iter()
+        .map(|(name, text)| (name.as_str(), text.as_bytes()))
+        .collect();
+    read_as("event.zip", &zip_of(&members)).unwrap()
+}
+
+fn starts(file: &RecordedFile) -> Vec<(TimeOrigin, Option<i64>)> {
+    let of_channel = |channel: &RecordedChannel| (channel.origin(), channel.start_ns());
+    file.channels().iter().map(of_channel).collect()
+}
+
+#[test]
+fn channels_of_a_low_quality_clock_start_with_the_others() {
+    let channels = [
+        (1, LOW_QUALITY, 1.0),
+        (2, NO_CLOCK, 2.0),
+        (5, GOOD_CLOCK, 3.0),
+        (6, GOOD_CLOCK, 4.0),
+    ];
+    let assumed = "time of a low-quality clock, or no time; assumed to start with the first sample \
+        of the others: channel-1, channel-2";
+    let whole = read_as("event.v2", csmip(&channels).as_bytes()).unwrap();
+    for file in [archive_of(&channels), whole] {
+        let expected = [(TimeOrigin::Epoch, Some(GOOD_START_NS)); 4];
+        assert_eq!(starts(&file), expected);
+        assert_eq!(
+            (file.remarks(), file.doubts()),
+            ([assumed.to_owned()].as_slice(), file.remarks())
+        );
+    }
+}
+
+#[test]
+fn channels_of_low_quality_clocks_alone_start_together() {
+    let later = LOW_QUALITY.replace("23:22.1", "24:20.0");
+    let file = archive_of(&[(1, &later, 1.0), (2, LOW_QUALITY, 2.0)]);
+    // Source: `date -u -d '2008-11-20T11:23:22-08:00' +%s`
+    let start = (TimeOrigin::Epoch, Some(1_227_209_002_100_000_000));
+    assert_eq!(starts(&file), [start; 2]);
+    assert!(file.doubts()[0].ends_with("assumed to start together: channel-1, channel-2"));
+    let undated = archive_of(&[(1, LOW_QUALITY_WITHOUT_ZONE, 1.0), (2, NO_CLOCK, 2.0)]);
+    assert_eq!(starts(&undated), [(TimeOrigin::Start, Some(0)); 2]);
+    assert_eq!(undated.doubts(), file.doubts());
+    let same = archive_of(&[(1, LOW_QUALITY, 1.0), (2, LOW_QUALITY, 2.0)]);
+    assert_eq!(
+        (starts(&same), same.doubts()),
+        (starts(&file), [].as_slice())
+    );
+}
+
+#[test]
+fn channels_of_good_clocks_far_apart_are_kept_and_named() {
+    let later = GOOD_CLOCK.replace(" 1.3", " 2.4");
+    let file = archive_of(&[(1, GOOD_CLOCK, 1.0), (2, &later, 2.0)]);
+    assert_eq!(starts(&file)[1].1, Some(GOOD_START_NS + 1_100_000_000));
+    let told = "channels start at different times: channel-2.acceleration 1.1 s after \
+        channel-1.acceleration";
+    assert_eq!(file.doubts(), [told]);
+    let later = GOOD_CLOCK.replace(" 1.3", " 2.2");
+    assert!(
+        archive_of(&[(1, GOOD_CLOCK, 1.0), (2, &later, 2.0)])
+            .doubts()
+            .is_empty()
+    );
+}
+
+#[test]
+fn low_quality_times_of_several_events_are_not_aligned() {
+    let (one, other) = (
+        csmip(&[(1, LOW_QUALITY, 1.0)]),
+        csmip(&[(1, GOOD_CLOCK, 2.0)]),
+    );
+    let members = [("one.v2", one.as_bytes()), ("other.v2", other.as_bytes())];
+    let file = read_as("events.zip", &zip_of(&members)).unwrap();
+    assert_eq!(
+        names(&file),
+        ["one/channel-1.acceleration", "other/channel-1.acceleration"]
+    );
+    assert_ne!(starts(&file)[0], starts(&file)[1]);
 }
 
 #[test]

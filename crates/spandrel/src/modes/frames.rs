@@ -6,6 +6,7 @@ use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Channel, ModalPlan, Structure};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use tracing::warn;
 
 /// Relative tolerance within which two sampling rates are equal.
 const SAME_RATE: f64 = 1e-4;
@@ -281,6 +282,9 @@ impl<'p> Loaded<'p> {
         selection: Selection<'_>,
     ) -> Result<Self, AppError> {
         let file = RecordedFile::read(path, options)?;
+        for doubt in file.doubts() {
+            warn!(record = %path.display(), doubt, "times of channels are in doubt");
+        }
         let all = file.channels();
         selection.check(path, all.iter().map(RecordedChannel::name))?;
         let chosen: Vec<&RecordedChannel> = all
