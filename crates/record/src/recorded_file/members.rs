@@ -12,14 +12,19 @@ use crate::{Format, RecordError, RecordedChannel};
 /// Maximum number of files in an archive or folder.
 const MOST_MEMBERS: usize = 10_000;
 
-/// The channels of the files read so far.
+/// The files read so far.
 #[derive(Default)]
 struct Members {
-    /// Name of the file without its extension, and channel.
-    channels: Vec<(String, RecordedChannel)>,
+    files: Vec<Member>,
     remarks: Vec<String>,
     /// Names of files in no known format.
     left_out: Vec<String>,
+}
+
+/// A file of an archive or folder that is a recording.
+struct Member {
+    name: String,
+    channels: Vec<RecordedChannel>,
 }
 
 impl Reading<'_> {
@@ -95,18 +100,14 @@ impl Reading<'_> {
             return Ok(());
         }
         let contents = self.source(source, place)?;
-        let stem = Path::new(&name)
-            .with_extension("")
-            .to_string_lossy()
-            .into_owned();
         let remarks = contents.remarks.into_iter();
         members
             .remarks
             .extend(remarks.map(|remark| format!("{name}: {remark}")));
-        let channels = contents.channels.into_iter();
-        members
-            .channels
-            .extend(channels.map(|channel| (stem.clone(), channel)));
+        members.files.push(Member {
+            name,
+            channels: contents.channels,
+        });
         Ok(())
     }
 }
@@ -115,11 +116,11 @@ impl Members {
     /// Returns all channels. If a channel name is not unique, the name of its file is prepended.
     fn finish(self, path: &Path, format: Format) -> Result<Contents, RecordError> {
         let Self {
-            channels,
+            mut files,
             mut remarks,
             left_out,
         } = self;
-        if channels.is_empty() {
+        if files.iter().all(|file| file.channels.is_empty()) {
             let found = if left_out.is_empty() {
                 "no file".to_owned()
             } else {
@@ -134,23 +135,61 @@ impl Members {
         if !left_out.is_empty() {
             remarks.push(format!("skipped, unknown format: {}", left_out.join(", ")));
         }
+        let repeated = remove_repeated(&mut files);
+        if !repeated.is_empty() {
+            remarks.push(format!(
+                "skipped, other files have the same channels and samples: {}",
+                repeated.join(", ")
+            ));
+        }
         let mut times: BTreeMap<String, usize> = BTreeMap::new();
-        for (_, channel) in &channels {
+        for channel in files.iter().flat_map(|file| &file.channels) {
             *times.entry(channel.name().to_owned()).or_default() += 1;
         }
-        let unique = |(stem, channel): (String, RecordedChannel)| match times.get(channel.name()) {
-            Some(2..) => {
-                let name = format!("{stem}/{}", channel.name());
-                channel.with_name(name)
-            }
-            _ => channel,
-        };
+        let mut channels = Vec::new();
+        for file in files {
+            let stem = Path::new(&file.name).with_extension("");
+            let unique = |channel: RecordedChannel| match times.get(channel.name()) {
+                Some(2..) => {
+                    let name = format!("{}/{}", stem.display(), channel.name());
+                    channel.with_name(name)
+                }
+                _ => channel,
+            };
+            channels.extend(file.channels.into_iter().map(unique));
+        }
         Ok(Contents {
             format,
-            channels: channels.into_iter().map(unique).collect(),
+            channels,
             remarks,
         })
     }
+}
+
+/// Removes each file whose channels are all in other files as well, and returns its name.
+///
+/// Some archives have the same data twice, as one file of all channels and as one file per channel.
+/// Channels with a missing sample (`NaN`) count as different.
+fn remove_repeated(files: &mut Vec<Member>) -> Vec<String> {
+    let mut repeated = Vec::new();
+    let mut place = 0;
+    while let Some(file) = files.get(place) {
+        let is_elsewhere = |channel: &RecordedChannel| {
+            let others = files
+                .iter()
+                .enumerate()
+                .filter(|(other, _)| *other != place);
+            others
+                .flat_map(|(_, other)| &other.channels)
+                .any(|other| other == channel)
+        };
+        if !file.channels.is_empty() && file.channels.iter().all(is_elsewhere) {
+            repeated.push(files.remove(place).name);
+        } else {
+            place += 1;
+        }
+    }
+    repeated
 }
 
 /// Returns the files of a folder, sorted by name.

@@ -166,6 +166,37 @@ fn low_quality_times_of_several_events_are_not_aligned() {
 }
 
 #[test]
+fn file_that_repeats_the_channels_of_others_is_skipped() {
+    let channels = [(1, GOOD_CLOCK, 1.0), (2, GOOD_CLOCK, 2.0)];
+    let (first, second) = (csmip(&channels[..1]), csmip(&channels[1..]));
+    let read = |whole: &str| {
+        let members = [
+            ("ALL.V2", whole.as_bytes()),
+            ("CHAN001.V2", first.as_bytes()),
+            ("CHAN002.V2", second.as_bytes()),
+        ];
+        read_as("event.zip", &zip_of(&members)).unwrap()
+    };
+    let file = read(&csmip(&channels));
+    assert_eq!(
+        names(&file),
+        ["channel-1.acceleration", "channel-2.acceleration"]
+    );
+    let told = "skipped, other files have the same channels and samples: ALL.V2";
+    assert_eq!(file.remarks(), [told]);
+    let other = read(&csmip(&[channels[0], (2, GOOD_CLOCK, 2.00001)]));
+    // One sample of channel 2 differs.
+    let both = [
+        "ALL/channel-2.acceleration",
+        "CHAN002/channel-2.acceleration",
+    ];
+    assert_eq!(
+        (names(&other)[0], &names(&other)[1..]),
+        ("channel-1.acceleration", both.as_slice())
+    );
+}
+
+#[test]
 fn unique_channel_names_have_no_prefix() {
     let file = read_as(
         "event.zip",
