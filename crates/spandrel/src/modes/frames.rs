@@ -167,7 +167,11 @@ impl Frames {
         let useless: Vec<Option<&'static str>> = (0..count)
             .map(|position| match reading {
                 Reading::Plan(..) => None,
-                Reading::Files(..) | Reading::Structure(..) => uselessness(&loaded, position),
+                Reading::Files(..) => uselessness(&loaded, position),
+                Reading::Structure(structure, selection) => {
+                    excitation(structure, selection, &loaded, position)
+                        .or_else(|| uselessness(&loaded, position))
+                }
             })
             .collect();
         let frames = loaded.into_iter().map(|loaded| {
@@ -379,6 +383,22 @@ fn frame_of(time_ns: i64, start_ns: i64, rate_hz: f64) -> usize {
     (time_ns.saturating_sub(start_ns) as f64 * rate_hz / 1e9).round() as usize
 }
 
+/// Returns why a channel of a structure does not take part unless the user names it: its motion has
+/// the peaks of the excitation.
+fn excitation(
+    structure: &Structure,
+    selection: Selection<'_>,
+    loaded: &[Loaded<'_>],
+    position: usize,
+) -> Option<&'static str> {
+    let name = &loaded.first()?.columns[position].name;
+    let channel = structure
+        .channels()
+        .find(|channel| channel.name() == name)?;
+    let is_left_out = selection.only.is_empty() && channel.quantity().is_excitation();
+    is_left_out.then_some("measures the excitation")
+}
+
 /// Returns why a channel is of no use in any of the recordings, or `None` if it is in one.
 fn uselessness(loaded: &[Loaded<'_>], position: usize) -> Option<&'static str> {
     let reasons = loaded.iter().map(|loaded| {
@@ -421,4 +441,36 @@ fn common_rate(path: &Path, channels: &[&RecordedChannel]) -> Result<f64, Record
         }
     }
     Ok(first_hz)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TABLE: &str = include_str!("../../../../docs/examples/shake-table-stiff.toml");
+
+    /// Returns the frames of a recording of the table, with the channels that `only` names.
+    fn frames(only: &[String]) -> Frames {
+        let structure = Structure::parse(TABLE, Path::new("table.toml")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("record.csv");
+        let mut text = "time_s,ground_mps2,floor1_mps2,floor2_mps2,floor3_mps2\n".to_owned();
+        for row in 0..120 {
+            text += &format!("{:.6},{row},{row},{row},{row}\n", f64::from(row) / 120.0);
+        }
+        std::fs::write(&path, text).unwrap();
+        let selection = Selection { only, without: &[] };
+        let all = Frames::read(&[path], Reading::Structure(&structure, selection));
+        all.unwrap().remove(0)
+    }
+
+    #[test]
+    fn measured_excitation_of_a_structure_takes_part_only_if_it_is_named() {
+        let all = frames(&[]);
+        assert_eq!(all.names, ["floor-1", "floor-2", "floor-3"]);
+        assert_eq!(listed(&all.left_out), "ground (measures the excitation)");
+        let named = frames(&["ground", "floor-3"].map(str::to_owned));
+        assert_eq!(named.names, ["ground", "floor-3"]);
+        assert_eq!(named.left_out, []);
+    }
 }
