@@ -4,7 +4,7 @@ use crate::error::AppError;
 use serde_json::json;
 use spandrel_faults::{ChannelHealth, Fault, SensorCheck, Soundness};
 use spandrel_sensor::{open_record, recorded_rows};
-use spandrel_structure::Structure;
+use spandrel_structure::{Channel, Structure};
 use std::fmt;
 use std::path::PathBuf;
 
@@ -32,6 +32,18 @@ pub struct SensorPage {
     lacks_motion: bool,
     /// Difference of the delays of sound sensors (s) if it is large.
     apart_s: Option<f64>,
+    /// Names of the channels that were judged, and have no samples at the end of the data.
+    ended: Vec<String>,
+}
+
+/// The last judgement of each channel of a frame.
+///
+/// [`SensorCheck`] discards the judgement of a channel as soon as it has no samples. The channels of
+/// a recording rarely end together, so that the end alone would leave a long recording unchecked.
+struct Judgements {
+    health: Vec<Option<ChannelHealth>>,
+    /// As [`SensorCheck::required_s`]. `None` once the data were long enough.
+    required_s: Vec<Option<f64>>,
 }
 
 impl SensorPage {
@@ -41,32 +53,49 @@ impl SensorPage {
     /// A recording cannot be read.
     pub fn of_records(structure: &Structure, records: &[PathBuf]) -> Result<Self, AppError> {
         let mut check = SensorCheck::new(structure);
+        let mut last = Judgements::of(&check);
         for path in records {
             check.forget_motion();
             for row in recorded_rows(open_record(structure, path)?, 0) {
                 check.take(&row?.values);
+                last.update(&check);
             }
         }
-        Ok(Self::of_check(structure, &check))
+        let at_end = Judgements::of(&check);
+        let names = structure.channels().map(Channel::name);
+        let ended = names
+            .zip(last.health.iter().zip(&at_end.health))
+            .filter(|(_, (last, at_end))| is_unchecked(at_end) && !is_unchecked(last))
+            .map(|(name, _)| name.to_owned())
+            .collect();
+        Ok(Self {
+            ended,
+            ..Self::new(structure, last)
+        })
     }
 
     /// Reports what a check of the structure's sensors has found.
     pub fn of_check(structure: &Structure, check: &SensorCheck) -> Self {
+        Self::new(structure, Judgements::of(check))
+    }
+
+    fn new(structure: &Structure, judgements: Judgements) -> Self {
+        let Judgements { health, required_s } = judgements;
         let names = structure
             .channels()
             .map(|channel| channel.name().to_owned());
-        let unchecked = |(channel, health): (usize, &Option<ChannelHealth>)| {
-            let is_unchecked = health.is_some_and(|one| one.soundness == Soundness::Unchecked);
-            is_unchecked.then(|| check.required_s(channel))
-        };
-        let required = check.health().iter().enumerate().filter_map(unchecked);
-        let required: Vec<Option<f64>> = required.collect();
+        let required = health.iter().zip(required_s);
+        let required: Vec<Option<f64>> = required
+            .filter(|(health, _)| is_unchecked(health))
+            .map(|(_, required_s)| required_s)
+            .collect();
         Self {
             structure: structure.name().to_owned(),
             required_s: required.iter().copied().flatten().reduce(f64::max),
             lacks_motion: required.contains(&None),
-            apart_s: apart_s(check, APART * structure.fundamental_period_s()),
-            channels: names.zip(check.health().iter().copied()).collect(),
+            apart_s: apart_s(&health, APART * structure.fundamental_period_s()),
+            channels: names.zip(health).collect(),
+            ended: Vec::new(),
         }
     }
 
@@ -130,6 +159,13 @@ impl fmt::Display for SensorPage {
         for (name, fault) in faults {
             writeln!(f, "{name} {}: {}", fault.words(), advice(fault))?;
         }
+        if !self.ended.is_empty() {
+            writeln!(
+                f,
+                "without samples at the end of the data, judged before it: {}",
+                self.ended.join(", ")
+            )?;
+        }
         if let Some(apart_s) = self.apart_s {
             writeln!(
                 f,
@@ -156,9 +192,37 @@ impl fmt::Display for SensorPage {
     }
 }
 
+impl Judgements {
+    fn of(check: &SensorCheck) -> Self {
+        let health = check.health().to_vec();
+        Self {
+            required_s: (0..health.len())
+                .map(|channel| check.required_s(channel))
+                .collect(),
+            health,
+        }
+    }
+
+    /// Replaces the judgement of each channel that the check judges now.
+    fn update(&mut self, check: &SensorCheck) {
+        for (channel, health) in check.health().iter().enumerate() {
+            if !is_unchecked(health) {
+                self.health[channel] = *health;
+            } else if self.required_s[channel].is_some() {
+                self.required_s[channel] = check.required_s(channel);
+            }
+        }
+    }
+}
+
+/// Returns `true` if a channel is checked, but was not compared yet.
+fn is_unchecked(health: &Option<ChannelHealth>) -> bool {
+    health.is_some_and(|health| health.soundness == Soundness::Unchecked)
+}
+
 /// Returns the largest difference of the delays of sound sensors (s). `None` up to `limit_s`.
-fn apart_s(check: &SensorCheck, limit_s: f64) -> Option<f64> {
-    let sound = check.health().iter().flatten();
+fn apart_s(health: &[Option<ChannelHealth>], limit_s: f64) -> Option<f64> {
+    let sound = health.iter().flatten();
     let sound = sound.filter(|health| health.soundness == Soundness::Sound);
     let delays: Vec<f64> = sound.filter_map(|health| health.delay_s).collect();
     let latest = delays.iter().copied().reduce(f64::max)?;
@@ -215,6 +279,11 @@ mod tests {
 
     /// The second and the third floor are late by a number of frames.
     fn page_with_delay(length_s: usize, scale: f64, late: usize) -> SensorPage {
+        page_without_end(length_s, scale, late, 0)
+    }
+
+    /// The ground has no samples in the last seconds.
+    fn page_without_end(length_s: usize, scale: f64, late: usize, end_s: usize) -> SensorPage {
         let structure = Structure::parse(TABLE, Path::new("table.toml")).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("record.csv");
@@ -224,9 +293,12 @@ mod tests {
         for (number, values) in frames.iter().enumerate() {
             let before = &frames[number.saturating_sub(late)];
             let time_s = number as f64 / 120.0;
+            let ground = match number < (length_s - end_s) * 120 {
+                true => values[0].to_string(),
+                false => String::new(),
+            };
             text += &format!(
-                "{time_s:.6},{},{},{},{}\n",
-                values[0],
+                "{time_s:.6},{ground},{},{},{}\n",
                 values[1],
                 scale * before[2],
                 before[3]
@@ -262,6 +334,18 @@ mod tests {
         let text = page_of(1, 1.0).to_string();
         let (short, motion) = ("the data are too short", "too little motion");
         assert!(text.contains(short) && !text.contains(motion), "{text}");
+    }
+
+    #[test]
+    fn channel_that_ends_early_is_judged_by_the_data_before() {
+        let page = page_without_end(60, 1.0, 0, 3);
+        let text = page.to_string();
+        assert_eq!(text.matches(" sound ").count(), 4, "{text}");
+        let note = "without samples at the end of the data, judged before it: ground";
+        assert!(text.contains(note), "{text}");
+        assert!(!text.contains("too short"), "{text}");
+        let faulty = page_without_end(60, GRAVITY.recip(), 0, 3).to_string();
+        assert!(faulty.contains("the unit is probably wrong"), "{faulty}");
     }
 
     #[test]
