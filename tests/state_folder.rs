@@ -318,7 +318,7 @@ async fn a_corrupt_history_is_set_aside_and_monitoring_starts() {
 async fn a_history_that_is_a_pipe_waits_and_monitoring_starts() {
     let site = Site::with(&two_storeys(""));
     let database = site.folder().join("house.sqlite");
-    let made = std::process::Command::new("mkfifo").arg(&database).status();
+    let made = Command::new("mkfifo").arg(&database).status();
     assert!(made.unwrap().success());
     let configuration = site.folder().join("spandrel.toml");
     std::fs::write(&configuration, "[history]\ndatabase = \"house.sqlite\"\n").unwrap();

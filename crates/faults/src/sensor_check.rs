@@ -53,6 +53,13 @@ const LARGEST_GROUP: usize = 24;
 /// must then measure it as well.
 const LOUD: f64 = 4.0;
 
+/// Ratio of the power of a motion below the stated noise to that of the quietest window, and to that in
+/// the memory, from which the motion is compared.
+///
+/// Larger ratios suspect fewer sound sensors and name fewer faults (docs/theory/sensor-faults.md).
+const AGAINST_QUIET: f64 = 4.0;
+const AGAINST_EARLIER: f64 = 0.1;
+
 /// Scatter of the factors and delays of sound channels between events: standard deviations of the
 /// logarithm of the factor, and of the delay in periods of the fundamental.
 ///
@@ -127,6 +134,8 @@ struct Group {
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct GroupState {
+    /// Motion of the quietest window (power per bin, relative to the ground).
+    quietest: f64,
     /// The channels as measured, and then without spikes if the structure screens outliers.
     windows: Windows,
     memories: Vec<Memory>,
@@ -215,7 +224,9 @@ impl SensorCheck {
             }
             group.find(state, &window);
             // Noise would take the place of an earlier motion, and noise of sound sensors differs.
-            let shows_motion = group.shows_motion(&window);
+            let longest = state.memories.last();
+            let shows_motion = longest
+                .is_some_and(|memory| group.shows_motion(&window, memory, &mut state.quietest));
             if shows_motion {
                 for memory in &mut state.memories {
                     memory.add(&window);
@@ -398,6 +409,7 @@ impl SensorCheck {
             let empty = group.empty();
             *state = GroupState {
                 powers: state.powers.clone(),
+                quietest: state.quietest,
                 findings: std::mem::take(&mut state.findings),
                 ..empty
             };
@@ -551,6 +563,7 @@ impl Group {
     fn empty(&self) -> GroupState {
         let count = self.channels.len();
         GroupState {
+            quietest: f64::INFINITY,
             windows: self.spectrum.windows(self.series()),
             memories: HALF_LIVES
                 .iter()
@@ -616,23 +629,31 @@ impl Group {
         self.noise_std[member].powi(2) * self.spectrum.noise_power()
     }
 
-    /// Returns `true` if the motion of a window exceeds the stated noise of half of its channels.
+    /// Returns `true` if the motion of a window is large enough for a comparison.
     ///
-    /// The channel with the largest motion counts, because the others can be dead.
-    fn shows_motion(&self, window: &Coefficients) -> bool {
-        let present = (0..self.channels.len()).filter_map(|member| {
-            let bins = window.low(member)?;
-            let power: f64 = bins.iter().map(Complex::norm_sqr).sum();
-            let of_ground = self.rigid[member].powi(2).recip();
-            Some((
-                of_ground * power / bins.len() as f64,
-                of_ground * self.noise_power(member),
-            ))
-        });
-        let (motions, mut noises): (Vec<f64>, Vec<f64>) = present.unzip();
+    /// Motion below the stated noise of half of the channels must stand out from the quietest window,
+    /// and must not be much smaller than that in `memory`. The channel with the largest motion counts,
+    /// because the others can be dead.
+    fn shows_motion(&self, window: &Coefficients, memory: &Memory, quietest: &mut f64) -> bool {
+        let of_ground = |member: usize| self.rigid[member].powi(2).recip();
+        let (mut motion, mut noises) = (0.0_f64, Vec::new());
+        for member in 0..self.channels.len() {
+            if let Some(bins) = window.low(member) {
+                let power: f64 = bins.iter().map(Complex::norm_sqr).sum();
+                motion = motion.max(of_ground(member) * power / bins.len() as f64);
+                noises.push(of_ground(member) * self.noise_power(member));
+            }
+        }
         noises.sort_unstable_by(f64::total_cmp);
-        let half = noises.get(noises.len().saturating_sub(1) / 2);
-        half.is_some_and(|noise| motions.iter().any(|motion| motion > noise))
+        let Some(noise) = noises.get(noises.len().saturating_sub(1) / 2) else {
+            return false;
+        };
+        let members = (0..self.channels.len()).filter(|member| memory.present()[*member]);
+        let earlier = members.map(|member| of_ground(member) * memory.mean_power(member));
+        let earlier = earlier.fold(0.0, f64::max);
+        *quietest = quietest.min(motion);
+        motion > *noise
+            || (motion > AGAINST_EARLIER * earlier && motion > AGAINST_QUIET * *quietest)
     }
 
     /// Returns `true` if a channel measures much more than its stated noise, and there are others to
