@@ -516,7 +516,7 @@ async fn a_second_process_in_the_same_state_folder_ends_and_refuses_no_checkpoin
     };
     let first = run(&site);
     first.wait_for_log("ready structures=1");
-    let record = site.simulate(5.0);
+    let record = site.simulate(60.0);
     site.replay(&record, "max").wait().expect_code(0);
     let keys = site.keys();
     let folder = state
@@ -528,8 +528,13 @@ async fn a_second_process_in_the_same_state_folder_ends_and_refuses_no_checkpoin
         .watch_progress(keys.progress(Service::Identify))
         .await
         .unwrap();
-    within("estimates", done.wait_for(|progress| progress.done >= 400)).await;
-    assert!(checkpoints(&folder, "identify-") > 0);
+    within("estimates", done.wait_for(|progress| progress.done >= 5900)).await;
+    let is_kept = async {
+        while checkpoints(&folder, "identify-") == 0 {
+            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+        }
+    };
+    within("a checkpoint", is_kept).await;
     let other = two_storeys("").replace("ratio = 0.02", "ratio = 0.03");
     assert_ne!(other, two_storeys(""));
     let other = Site::with(&other).rooted(keys.root().as_str());

@@ -67,7 +67,8 @@ pub(super) fn make_file(path: &Path, folder: Folder) -> Result<(), HistoryError>
             .open(path)
     };
     let opened = match check_regular_file(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => open(),
+        // The operating system names a folder.
+        Err(error) if error.kind() == ErrorKind::NotFound || path.is_dir() => open(),
         checked => checked.and_then(|()| open()),
     };
     opened.map(drop).map_err(|source| HistoryError::File {
