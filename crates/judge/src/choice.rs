@@ -2,6 +2,7 @@
 
 use crate::day::Day;
 use crate::frost::{FREEZING, KNOTS, ln_prior};
+use crate::inertia::{INERTIAS, Past};
 use crate::model::{Columns, DEVIATIONS, MEMORIES, OFFSETS, Row, Structure, ZONE_SCATTERS};
 use crate::regression::{Series, Taught};
 
@@ -17,25 +18,29 @@ pub(crate) struct Choice {
     pub(crate) columns: Columns,
     pub(crate) structure: Structure,
     pub(crate) rows: Vec<Row>,
+    /// The interior on the last day.
+    pub(crate) past: Past,
     pub(crate) taught: Taught,
 }
 
 impl Choice {
     /// Chooses one property after the other, twice, and ν at the end.
     pub(crate) fn best(columns: Columns, days: &[Day], centre: f64) -> Self {
+        let first = Structure {
+            knot: FREEZING,
+            offset: OFFSETS[OFFSETS.len() - 1],
+            zone_scatter: ZONE_SCATTERS[ZONE_SCATTERS.len() - 1],
+            inertia_days: INERTIAS[0],
+            memory_days: MEMORIES[0],
+            deviation: DEVIATIONS[1],
+            freedom: NEARLY_NORMAL,
+            usual_epochs: usual_epochs(days),
+        };
         let mut search = Search {
             days,
             centre,
-            best: Structure {
-                knot: FREEZING,
-                offset: OFFSETS[OFFSETS.len() - 1],
-                zone_scatter: ZONE_SCATTERS[ZONE_SCATTERS.len() - 1],
-                memory_days: MEMORIES[0],
-                deviation: DEVIATIONS[1],
-                freedom: NEARLY_NORMAL,
-                usual_epochs: usual_epochs(days),
-            },
-            rows: columns.rows(days, FREEZING, centre),
+            best: first,
+            rows: columns.rows(days, &first, centre).0,
             columns,
             score: f64::NEG_INFINITY,
             sigma: None,
@@ -52,7 +57,10 @@ impl Choice {
                 }
             }
             if !frosty {
-                break;
+                for inertia in INERTIAS {
+                    search.try_out(|structure| structure.inertia_days = inertia);
+                }
+                continue;
             }
             for offset in OFFSETS {
                 for scatter in ZONE_SCATTERS {
@@ -62,18 +70,25 @@ impl Choice {
                     });
                 }
             }
-            for knot in 0..KNOTS.len() {
-                search.try_out(|structure| structure.knot = knot);
+            for inertia in INERTIAS {
+                for knot in 0..KNOTS.len() {
+                    search.try_out(|structure| {
+                        structure.inertia_days = inertia;
+                        structure.knot = knot;
+                    });
+                }
             }
         }
         for freedom in FREEDOMS {
             search.try_out(|structure| structure.freedom = freedom);
         }
-        let taught = search.fit(&search.best, &search.rows);
+        let (rows, past) = search.columns.rows(days, &search.best, centre);
+        let taught = search.fit(&search.best, &rows);
         Self {
             columns: search.columns,
             structure: search.best,
-            rows: search.rows,
+            rows,
+            past,
             taught,
         }
     }
@@ -101,8 +116,10 @@ impl Search<'_> {
     fn try_out(&mut self, change: impl Fn(&mut Structure)) {
         let mut structure = self.best;
         change(&mut structure);
-        let other_rows = (structure.knot != self.best.knot)
-            .then(|| self.columns.rows(self.days, structure.knot, self.centre));
+        let same_rows =
+            structure.knot == self.best.knot && structure.inertia_days == self.best.inertia_days;
+        let other_rows =
+            (!same_rows).then(|| self.columns.rows(self.days, &structure, self.centre).0);
         let taught = self.fit(&structure, other_rows.as_ref().unwrap_or(&self.rows));
         let score = taught.ln_evidence + ln_prior(KNOTS[structure.knot]);
         if score > self.score {

@@ -1,5 +1,6 @@
 //! The history of one quantity: commissioning, then one decision per day.
 
+use crate::cumulant::CLIP;
 use crate::cusum;
 use crate::day::{Day, DayEpochs};
 use crate::detector::{Detector, Evidence, StepEstimate};
@@ -47,8 +48,8 @@ struct Judging {
     detector: Detector,
     cusum: f64,
     cusum_threshold: f64,
-    /// Last day.
-    previous: Day,
+    /// Number of the last day.
+    last_day: i64,
 }
 
 /// What the histories of all quantities of a structure share.
@@ -159,10 +160,7 @@ impl Commissioning {
         self.days.retain(|day| day.number > oldest);
         let seed = frame.index as u64;
         match Reference::learn(&self.days, frame.quantity, frame.settings, seed) {
-            Ok(reference) => match self.days.last() {
-                Some(last) => Ok(Judging::new(reference, last.clone(), frame)),
-                None => Err(State::Learning { days_left: 0 }),
-            },
+            Ok(reference) => Ok(Judging::new(reference, frame)),
             Err(missing) => {
                 self.missing = Some((missing.clone(), frame.day));
                 Err(State::NotReady { missing })
@@ -172,29 +170,29 @@ impl Commissioning {
 }
 
 impl Judging {
-    fn new(reference: Reference, previous: Day, frame: Frame<'_>) -> Self {
+    fn new(reference: Reference, frame: Frame<'_>) -> Self {
         let settings = frame.settings;
         let share = settings.false_alarms_per_year / settings.quantities.len() as f64;
         let unit = -frame.quantity.kind.per_stiffness() * (1.0 - settings.loss).ln();
         Self {
             adaptive: reference.posterior.clone(),
-            reference,
             detector: Detector::new(unit),
             cusum: 0.0,
             cusum_threshold: cusum::threshold(365.25 / share),
-            previous,
+            last_day: reference.to_day,
+            reference,
         }
     }
 
     /// Judges a day and learns from it, unless an alarm holds.
     fn end_day(&mut self, day: &Day, alarm: bool) -> (State, Option<Expectation>) {
+        let row = self.reference.next_row(day);
         let Reference {
             columns, structure, ..
         } = &self.reference;
-        let passed = day.number - self.previous.number;
+        let passed = day.number - self.last_day;
         self.adaptive.evolve(columns, structure, passed);
         self.detector.evolve(columns, structure, passed);
-        let row = self.reference.row(day, Some(&self.previous));
         let expected = Expected::new(columns, structure, &self.adaptive, &row);
         let novelty = match () {
             () if self.reference.is_new_frost(day) => Some(Novelty::Frost),
@@ -229,7 +227,7 @@ impl Judging {
             self.learn(&row, learnt);
             self.reference.remember(day);
         }
-        self.previous = day.clone();
+        self.last_day = day.number;
         let state = match novelty {
             Some(novelty) => State::OutsideExperience { novelty },
             None => State::Judged,
@@ -237,8 +235,10 @@ impl Judging {
         (state, Some(expectation))
     }
 
-    /// Guarded learning: a lasting loss is learnt slowly. New conditions, and what forgets, are learnt
-    /// without a guard: the end of a frost must not look like a loss.
+    /// Guarded learning: a lasting loss is learnt slowly. Forgetting coefficients and frost are learnt
+    /// without a guard, because the end of a frost must not look like a loss. Other new conditions
+    /// have a wider guard: they explain a residual of some standard deviations, but not a loss that
+    /// happens on such a day.
     fn learn(&mut self, row: &Row, learnt: Learnt) {
         let Reference {
             columns,
@@ -248,7 +248,8 @@ impl Judging {
         } = &self.reference;
         let Learnt { z, scale, .. } = learnt;
         let (lasting, weight) = match learnt.novelty {
-            Some(_) => (z, 1.0),
+            Some(Novelty::Extrapolation) => (z.max(-CLIP), 1.0),
+            Some(Novelty::Frost) => (z, 1.0),
             None => (guard.limit(z), weight(structure.freedom, z)),
         };
         let variance = learnt.variance / weight;

@@ -70,6 +70,7 @@ mod settings;
 mod day;
 mod extremes;
 mod frost;
+mod inertia;
 mod model;
 
 mod choice;

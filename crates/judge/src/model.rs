@@ -4,7 +4,7 @@
 //!
 //! - the additional slope below T0 (frost), and the change of slope where the frost is complete
 //! - the change of slope at each of two warmer knots
-//! - the effect of the day before: of its temperature, and of its frost
+//! - the effect of the interior, which follows with thermal inertia: of its temperature, and of its frost
 //! - the offset in the frost zone, which differs from one cold spell to the next;
 //!
 //! and the deviation u, which has no measured cause. All have a prior in physical units. The level
@@ -12,6 +12,7 @@
 
 use crate::day::Day;
 use crate::frost::{BENDS, KNOTS, below, zone};
+use crate::inertia::{Interior, Past};
 use crate::settings::{Condition, Quantity};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
@@ -20,9 +21,8 @@ use serde::{Deserialize, Serialize};
 const INTERCEPT: f64 = 0.2;
 /// Standard deviation of the sound change of ln(frequency) within a year: settling, creep.
 const WANDER_PER_YEAR: f64 = 0.003;
-/// Parts of the prior of a slope: of its change at a warm knot, and of the effect of the day before.
+/// Part of the prior of a slope that its change at a warm knot has.
 const BEND_PART: f64 = 1.0 / 3.0;
-const LAG_PART: f64 = 1.0 / 3.0;
 /// Memory of the offset in the frost zone (days): a cold spell.
 const SPELL_DAYS: f64 = 4.0;
 /// Candidates of the standard deviation of this offset in ln(frequency), and of the additional
@@ -47,6 +47,8 @@ pub(crate) struct Structure {
     pub(crate) offset: f64,
     /// Additional scatter of a day in the frost zone, in ln(frequency).
     pub(crate) zone_scatter: f64,
+    /// Time constant with which the structure follows the temperatures (days).
+    pub(crate) inertia_days: f64,
     /// Memory of the deviation (days), and its standard deviation in ln(frequency).
     pub(crate) memory_days: f64,
     pub(crate) deviation: f64,
@@ -96,7 +98,7 @@ pub(crate) struct Row {
     pub(crate) epochs: f64,
 }
 
-/// Columns per temperature: two of frost, one per warm knot, two of the day before, the offset.
+/// Columns per temperature: two of frost, one per warm knot, two of the interior, the offset.
 const PER_TEMPERATURE: usize = 5 + BENDS.len();
 
 impl Columns {
@@ -109,7 +111,7 @@ impl Columns {
             let frost = prior.frost?;
             let mut stds = vec![frost, frost];
             stds.extend(BENDS.map(|_| BEND_PART * prior.slope));
-            stds.extend([LAG_PART * prior.slope, LAG_PART * frost, 0.0]);
+            stds.extend([prior.slope, frost, 0.0]);
             Some(stds)
         });
         let prior: Vec<f64> = std::iter::once(INTERCEPT)
@@ -204,21 +206,34 @@ impl Columns {
         1.0 + EPOCH_SHARE * (few - 1.0).max(0.0) + (scatter / sigma).powi(2)
     }
 
-    /// Returns the row of a day for the candidate of T0 with index `knot`. `before` is the day
-    /// before it, if it has data, and `centre` is subtracted from ln(value).
-    pub(crate) fn row(&self, day: &Day, before: Option<&Day>, knot: usize, centre: f64) -> Row {
-        let before = before.filter(|before| before.number + 1 == day.number);
-        let before = before.unwrap_or(day);
+    /// Returns the row of the next day after `past`, which moves on to it. `centre` is subtracted from
+    /// ln(value).
+    pub(crate) fn row(
+        &self,
+        day: &Day,
+        past: &mut Past,
+        structure: &Structure,
+        centre: f64,
+    ) -> Row {
+        let knot = structure.knot;
+        let today: Vec<Interior> = (self.temperatures.iter())
+            .map(|&index| Interior {
+                celsius: f64::from(day.conditions[index]),
+                below: f64::from(day.below[index][knot]),
+                zone: zone(&day.below[index], knot),
+            })
+            .collect();
+        let zones = past.follow(day.number, &today, structure.inertia_days);
         let mut x = Vec::with_capacity(self.count());
         x.push(1.0);
         x.extend(day.conditions.iter().map(|value| f64::from(*value)));
-        for &index in &self.temperatures {
-            let (now, then) = (&day.below[index], &before.below[index]);
-            let celsius = [day, before].map(|day| f64::from(day.conditions[index]));
-            x.extend([f64::from(now[knot]), f64::from(now[KNOTS.len()])]);
-            x.extend(BENDS.map(|bend| below(celsius[0], bend)));
-            x.extend([celsius[1] - celsius[0], f64::from(then[knot] - now[knot])]);
-            x.push(zone(now, knot).max(zone(then, knot)));
+        for (place, &index) in self.temperatures.iter().enumerate() {
+            let (today, interior) = (today[place], past.interiors[place]);
+            x.extend([today.below, f64::from(day.below[index][KNOTS.len()])]);
+            x.extend(BENDS.map(|bend| below(today.celsius, bend)));
+            x.push(interior.celsius - today.celsius);
+            x.push(interior.below - today.below);
+            x.push(today.zone.max(zones[place]));
         }
         x.push(1.0);
         Row {
@@ -245,13 +260,18 @@ impl Columns {
             .map(move |index| f64::from(day.below[*index][knot]))
     }
 
-    /// Returns the rows of days in ascending order.
-    pub(crate) fn rows(&self, days: &[Day], knot: usize, centre: f64) -> Vec<Row> {
-        let before = |index: usize| index.checked_sub(1).and_then(|index| days.get(index));
-        let numbered = days.iter().enumerate();
-        numbered
-            .map(|(index, day)| self.row(day, before(index), knot, centre))
-            .collect()
+    /// Returns the rows of days in ascending order, and the interior on the last one.
+    pub(crate) fn rows(
+        &self,
+        days: &[Day],
+        structure: &Structure,
+        centre: f64,
+    ) -> (Vec<Row>, Past) {
+        let mut past = Past::default();
+        let rows = days
+            .iter()
+            .map(|day| self.row(day, &mut past, structure, centre));
+        (rows.collect(), past)
     }
 }
 

@@ -6,6 +6,7 @@ use crate::cumulant::Cumulant;
 use crate::day::Day;
 use crate::extremes::Extremes;
 use crate::frost::KNOTS;
+use crate::inertia::Past;
 use crate::model::{Columns, DEVIATIONS, Deviation, Row, Structure};
 use crate::regression::{Posterior, Series, Taught, weight};
 use crate::settings::{Quantity, Season, Settings};
@@ -35,6 +36,8 @@ const FROST_DEPTH: f64 = 0.05;
 pub(crate) struct Reference {
     pub(crate) columns: Columns,
     pub(crate) structure: Structure,
+    /// The interior on the last day.
+    past: Past,
     /// Mean of ln(value) in the commissioning, subtracted from every value.
     pub(crate) centre: f64,
     /// Mean regressors of the commissioning: the reference conditions.
@@ -141,6 +144,7 @@ impl Reference {
             columns,
             structure,
             rows,
+            past,
             taught,
         } = Choice::best(Columns::new(quantity, &settings.conditions), days, centre);
         let Taught {
@@ -183,6 +187,7 @@ impl Reference {
             extremes: vec![Extremes::default(); settings.conditions.len()],
             columns,
             structure,
+            past,
             centre,
             conditions,
             guard: Guard::new(structure.freedom, &residuals),
@@ -207,10 +212,10 @@ impl Reference {
         deviation(&self.columns, &self.structure, days)
     }
 
-    /// Returns the row of a day. `before` is the day before it.
-    pub(crate) fn row(&self, day: &Day, before: Option<&Day>) -> Row {
+    /// Returns the row of the next day.
+    pub(crate) fn next_row(&mut self, day: &Day) -> Row {
         self.columns
-            .row(day, before, self.structure.knot, self.centre)
+            .row(day, &mut self.past, &self.structure, self.centre)
     }
 
     /// Returns T0 (°C).

@@ -11,7 +11,7 @@ use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
 use crate::outcome::Outcome;
 use crate::run::{Length, Run};
-use bridge::{Loss, Wanted, epochs};
+use bridge::{Loss, Site, Wanted, epochs};
 use spandrel_judge::{
     Condition, ConditionKind, Judge, Judgement, Quantity, QuantityKind, Season, Settings, State,
 };
@@ -35,21 +35,35 @@ pub(crate) static CASES: &[Case] = &[
         title: "Sound structures, judged for a year after a commissioning of a year",
         source: SOURCE,
         weight: 200.0,
-        run: |run| sound(run, 365, run.pick(1000, 8)),
+        run: |run| sound(run, Site::Slender, 365, run.pick(1000, 8)),
     },
     Case {
         name: "judge.sound-years-120",
         title: "Sound structures, judged for a year after a commissioning of 120 days in any season",
         source: SOURCE,
         weight: 60.0,
-        run: |run| sound(run, 120, run.pick(400, 8)),
+        run: |run| sound(run, Site::Slender, 120, run.pick(400, 8)),
+    },
+    Case {
+        name: "judge.sound-years-massive",
+        title: "Sound massive structures with a thermometer in the air, commissioning of a year",
+        source: SOURCE,
+        weight: 80.0,
+        run: |run| sound(run, Site::Massive, 365, run.pick(400, 8)),
     },
     Case {
         name: "judge.losses",
         title: "A sudden loss of stiffness of one mode, in any season",
         source: SOURCE,
         weight: 60.0,
-        run: losses,
+        run: |run| losses(run, Site::Slender),
+    },
+    Case {
+        name: "judge.losses-massive",
+        title: "The same of massive structures with a thermometer in the air",
+        source: SOURCE,
+        weight: 60.0,
+        run: |run| losses(run, Site::Massive),
     },
 ];
 
@@ -66,7 +80,7 @@ fn judge(seed: u64, wanted: Wanted) -> Result<(Judge, Vec<Judgement>), ValidateE
         season: Season::Required,
         quantities: (0..wanted.modes).map(quantity).collect(),
         conditions: vec![Condition {
-            name: "deck".to_owned(),
+            name: "temperature".to_owned(),
             kind: ConditionKind::Celsius,
         }],
     })?;
@@ -130,7 +144,12 @@ const KNOWN_COVERAGE: Required = Required::Between {
 const COVERAGE_MISSED: &str =
     "the interval is too wide after 120 days, which leave the effect of the temperature uncertain";
 
-fn sound(run: &Run<'_>, commissioning: u32, structures: u64) -> Result<Outcome, ValidateError> {
+fn sound(
+    run: &Run<'_>,
+    site: Site,
+    commissioning: u32,
+    structures: u64,
+) -> Result<Outcome, ValidateError> {
     let mut counts = Counts::default();
     for index in 0..structures {
         if !run.advance(index as f64 / structures as f64) {
@@ -142,6 +161,7 @@ fn sound(run: &Run<'_>, commissioning: u32, structures: u64) -> Result<Outcome, 
             days: commissioning + JUDGED_DAYS,
             first_day,
             loss: None,
+            site,
         };
         counts.take(&judge(seed, wanted)?.1);
     }
@@ -193,7 +213,7 @@ fn sound(run: &Run<'_>, commissioning: u32, structures: u64) -> Result<Outcome, 
 }
 
 /// Finds losses of every size, on the same structures.
-fn losses(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+fn losses(run: &Run<'_>, site: Site) -> Result<Outcome, ValidateError> {
     let structures = run.pick(100, 4);
     let all = (LOSSES.len() as u64 * structures) as f64;
     let mut figures = Vec::new();
@@ -206,7 +226,7 @@ fn losses(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             }
             let (seed, first_day) = structure(run, index);
             let day = 365 + FIRST_LOSS_DAY + (seed * 37 % LOSS_DAYS) as u32;
-            delays.extend(delay(seed, first_day, Loss { share, day })?);
+            delays.extend(delay(seed, site, first_day, Loss { share, day })?);
         }
         let found = delays.iter().flatten().count() as f64;
         delays.sort_by_key(|delay| delay.unwrap_or(i64::MAX));
@@ -233,12 +253,18 @@ fn losses(run: &Run<'_>) -> Result<Outcome, ValidateError> {
 
 /// Returns the days from a loss to its alarm, `Some(None)` if it is never raised, and `None` if the
 /// loss cannot be judged: the reference was not ready, or a false alarm came before.
-fn delay(seed: u64, first_day: f64, loss: Loss) -> Result<Option<Option<i64>>, ValidateError> {
+fn delay(
+    seed: u64,
+    site: Site,
+    first_day: f64,
+    loss: Loss,
+) -> Result<Option<Option<i64>>, ValidateError> {
     let wanted = Wanted {
         modes: 1,
         days: 365 + JUDGED_DAYS,
         first_day,
         loss: Some(loss),
+        site,
     };
     let (judge, judgements) = judge(seed, wanted)?;
     let day = i64::from(loss.day);

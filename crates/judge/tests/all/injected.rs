@@ -30,17 +30,21 @@ fn delay(judge: &Judge, rest: &[Epoch], mode: usize, share: f64, date: i64) -> O
     Some(alarm.day - date + 1)
 }
 
-/// Losses of frequency, and the number of days between their dates.
+/// Losses of frequency, and their dates: the first one, and the number of days between two.
 struct Injection<'a> {
     shares: &'a [f64],
+    first_date: i64,
     between_dates: usize,
 }
 
+/// The bridge is warmer than ever before on days 149 to 153 and 163 to 169. A loss on such a day is not
+/// mistaken for the effect of the warmth.
 #[test]
 fn a_loss_of_five_percent_of_frequency_of_the_bridge_is_found() {
     inject(&Injection {
         shares: &[0.05],
-        between_dates: 19,
+        first_date: 137,
+        between_dates: 15,
     });
 }
 
@@ -49,6 +53,7 @@ fn a_loss_of_five_percent_of_frequency_of_the_bridge_is_found() {
 fn losses_of_frequency_of_the_bridge_are_found_by_size() {
     inject(&Injection {
         shares: &[0.01, 0.02, 0.03, 0.05],
+        first_date: FIRST_DATE,
         between_dates: 2,
     });
 }
@@ -72,12 +77,12 @@ fn inject(injection: &Injection<'_>) {
     }
     for (mode, name) in MODES.iter().enumerate() {
         for &share in injection.shares {
-            let dates = (FIRST_DATE..=LAST_DATE).step_by(injection.between_dates);
+            let dates = (injection.first_date..=LAST_DATE).step_by(injection.between_dates);
             let mut delays: Vec<Option<i64>> = dates
                 .map(|date| delay(&judge, &epochs[start..sound], mode, share, date))
                 .collect();
             let found = delays.iter().flatten().count();
-            let missed: Vec<i64> = (FIRST_DATE..=LAST_DATE)
+            let missed: Vec<i64> = (injection.first_date..=LAST_DATE)
                 .step_by(injection.between_dates)
                 .zip(&delays)
                 .filter_map(|(date, delay)| delay.is_none().then_some(date))
@@ -89,11 +94,9 @@ fn inject(injection: &Injection<'_>) {
                 100.0 * share,
                 delays.len()
             );
-            // Mode 2 needs the second half of the commissioning and wanders most.
-            let certain = share >= 0.05 && mode != 1;
-            // A date shortly before days outside experience leaves too few judged days.
+            // The reference of mode 2 is ready after the first date.
             let enough = 10 * found >= 9 * delays.len();
-            assert!(!certain || enough, "{name}, {share}: {found}");
+            assert!(share < 0.05 || enough, "{name}, {share}: {found}");
         }
     }
 }

@@ -7,6 +7,7 @@
     reason = "a test that fails panics"
 )]
 
+mod inertia;
 mod injected;
 mod lasting;
 mod real_series;

@@ -80,6 +80,7 @@ fn no_thermometer_in_the_bridge_and_no_beginning_of_the_day_raises_a_wrong_loss(
     };
     let thermometers = [
         "t_tp_degc",
+        "t_twn_degc",
         "t_tds_degc",
         "t_ts_degc",
         "t_twc_degc",

@@ -2,7 +2,7 @@
 //! would identify them.
 //!
 //! It shares no equation with `spandrel-judge`. Its frequencies depend on two temperatures with
-//! different memories, of which one is measured. Asphalt softens exponentially with warmth, and ice
+//! different memories, of which one is measured, or only that of the air. Asphalt softens exponentially with warmth, and ice
 //! grows and melts with the heat that it takes. Moisture is never measured. Every seed is another
 //! structure in another climate.
 
@@ -29,6 +29,26 @@ pub(super) struct Wanted {
     /// Day of the year on which the series begins.
     pub(super) first_day: f64,
     pub(super) loss: Option<Loss>,
+    pub(super) site: Site,
+}
+
+/// How massive the structure is, and where its thermometer is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Site {
+    /// A slender structure with a thermometer in its deck.
+    Slender,
+    /// A massive structure: its core follows the air within days. Only the air has a thermometer.
+    Massive,
+}
+
+impl Site {
+    /// Returns the smallest and the largest time constant of the core (days).
+    fn core_days(self) -> (f64, f64) {
+        match self {
+            Self::Slender => (0.4, 1.5),
+            Self::Massive => (1.5, 6.0),
+        }
+    }
 }
 
 /// A loss of stiffness of the first mode.
@@ -40,10 +60,10 @@ pub(super) struct Loss {
 }
 
 /// Returns the epochs of the structure of a seed: its natural frequencies, and the temperature of
-/// its deck (°C).
+/// its thermometer (°C).
 pub(super) fn epochs(seed: u64, wanted: Wanted) -> Vec<Epoch> {
     let mut uniform = Uniform::stream(seed, 0);
-    let mut climate = Climate::new(&mut uniform, seed);
+    let mut climate = Climate::new(&mut uniform, seed, wanted.site);
     let mut gaps = [
         Gaps::new(seed, 1, 90.0, 4.0),
         Gaps::new(seed, 2, 180.0, 3.0),
@@ -73,7 +93,7 @@ pub(super) fn epochs(seed: u64, wanted: Wanted) -> Vec<Epoch> {
         rows.push(Epoch {
             time_s: DAY_S * day,
             quantities: values,
-            conditions: vec![(!no_thermometer).then_some(climate.thermometer())],
+            conditions: vec![(!no_thermometer).then_some(climate.thermometer(wanted.site))],
         });
     }
     rows
@@ -82,6 +102,7 @@ pub(super) fn epochs(seed: u64, wanted: Wanted) -> Vec<Epoch> {
 /// Temperatures of a structure (°C), and the frozen share of its water.
 #[derive(Debug, Clone, Copy, Default)]
 struct Temperatures {
+    air: f64,
     deck: f64,
     core: f64,
     ice: f64,
@@ -102,7 +123,8 @@ struct Climate {
 }
 
 impl Climate {
-    fn new(uniform: &mut Uniform, seed: u64) -> Self {
+    fn new(uniform: &mut Uniform, seed: u64, site: Site) -> Self {
+        let (shortest, longest) = site.core_days();
         Self {
             mean: uniform.between(3.0, 15.0),
             yearly: uniform.between(6.0, 12.0),
@@ -111,7 +133,7 @@ impl Climate {
             weather: Memory::new(seed, 5, uniform.between(1.5, 4.0)),
             error: Normal::stream(seed, 6),
             deck_days: uniform.between(0.1, 0.4),
-            core_days: uniform.between(0.4, 1.5),
+            core_days: uniform.between(shortest, longest),
             latent: uniform.between(2.0, 8.0),
             now: None,
         }
@@ -122,12 +144,14 @@ impl Climate {
         let hour = self.daily * (TAU * (day - 0.6)).cos();
         let air = self.mean + season + hour + self.scatter * self.weather.next();
         let before = self.now.unwrap_or(Temperatures {
+            air,
             deck: self.mean + season,
             core: self.mean + season,
             ice: 0.0,
         });
         let frozen = -before.deck / (self.latent * f64::from(PER_DAY));
         let now = Temperatures {
+            air,
             deck: air + kept(self.deck_days) * (before.deck - air),
             core: air + kept(self.core_days) * (before.core - air),
             ice: (before.ice + frozen).clamp(0.0, 1.0),
@@ -136,8 +160,12 @@ impl Climate {
         now
     }
 
-    fn thermometer(&mut self) -> f64 {
-        self.now.map_or(0.0, |now| now.deck) + 0.2 * self.error.draw()
+    fn thermometer(&mut self, site: Site) -> f64 {
+        let celsius = self.now.map_or(0.0, |now| match site {
+            Site::Slender => now.deck,
+            Site::Massive => now.air,
+        });
+        celsius + 0.2 * self.error.draw()
     }
 }
 
