@@ -15,7 +15,7 @@ pub enum Fault {
     Dead,
     /// The channel measures more than the motion, or something else.
     Disturbed,
-    /// The offset of the channel moves: its distance from the former one (m/s²).
+    /// The offset of the channel moves or is large: the offset relative to the other channels (m/s²).
     Drift(f64),
     /// The peaks of the channel are cut off at this value (m/s²).
     Clipped(f64),
@@ -70,7 +70,10 @@ impl Fault {
             Self::Delay(delay_s) => format!("is {:.0} ms later than the others", 1e3 * delay_s),
             Self::Dead => "does not follow the motion of the others".to_owned(),
             Self::Disturbed => "measures something that the others do not".to_owned(),
-            Self::Drift(moved) => format!("drifts: its offset has moved by {moved:.2} m/s2"),
+            Self::Drift(offset) => format!(
+                "has an offset of {:.1} mm/s2 relative to the other sensors",
+                1e3 * offset
+            ),
             Self::Clipped(value) => format!("is cut off at {value:.2} m/s2"),
             Self::Exchanged => "is exchanged with another one".to_owned(),
         }

@@ -33,7 +33,7 @@ pub enum FaultKind {
     Dead,
     /// Something that the others do not measure.
     Disturbed,
-    /// An offset that moves.
+    /// An offset that moves or is large.
     Drift,
     /// Peaks that are cut off.
     Clipped,

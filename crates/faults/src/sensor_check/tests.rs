@@ -320,12 +320,42 @@ fn wind_puts_no_floor_in_doubt() {
 fn drifting_sensor_is_named_with_the_distance_of_its_offset() {
     let drift = |n: usize| 0.02 * (n - 20 * 120) as f64 / 120.0;
     let (fault, suspected) = with_fault(FLOOR_2, |n, sound| sound[n][FLOOR_2] + drift(n));
-    let Some(Fault::Drift(moved)) = fault else {
+    let Some(Fault::Drift(offset)) = fault else {
         panic!("{fault:?}")
     };
-    // The drift reaches 0.8 m/s². The reference follows with a half-life of 120 s.
-    assert!((0.6..0.8).contains(&moved), "{moved}");
+    assert!((0.7..0.9).contains(&offset), "{offset}"); // it reaches 0.8 m/s² at the end
     assert_eq!(suspected, [FLOOR_2]);
+}
+
+/// Regression test: the reference followed an offset of any size, so that the sensor was used again after
+/// some minutes.
+#[test]
+fn a_large_offset_is_a_fault_for_as_long_as_it_lasts() {
+    let stated_noise = 0.3;
+    let (offset, ends_s) = (20.0 * stated_noise, 500.0);
+    for begins_s in [0.0, 20.0] {
+        let mut recorded = frames_of(&table(&[]), 600.0);
+        for (number, values) in recorded.iter_mut().enumerate() {
+            let time_s = number as f64 / 120.0;
+            if (begins_s..ends_s).contains(&time_s) {
+                values[FLOOR_2] += offset;
+            }
+        }
+        let (check, changes) = checked(&recorded);
+        assert_eq!(suspected(&changes), [FLOOR_2], "{changes:?}");
+        let of_floor = changes
+            .iter()
+            .filter(|(_, change)| change.channel == FLOOR_2);
+        let during = of_floor.filter(|(time_s, _)| (begins_s..ends_s).contains(time_s));
+        let is_named = |(_, change): &&(f64, Change)| change.now == Soundness::Faulty;
+        let named: Vec<_> = during.skip_while(|one| !is_named(one)).collect();
+        let [(named_s, _)] = named[..] else {
+            panic!("not named once and for all: {changes:?}");
+        };
+        assert!((begins_s..begins_s + 20.0).contains(named_s), "{named_s}");
+        let health = check.health()[FLOOR_2].unwrap();
+        assert_eq!(health.soundness, Soundness::Sound, "{changes:?}");
+    }
 }
 
 #[test]

@@ -41,7 +41,7 @@ pub struct IdentificationState {
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 12;
+    pub const VERSION: u16 = 13;
 }
 
 impl Identification {
