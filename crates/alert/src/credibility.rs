@@ -52,12 +52,12 @@ pub struct LossEstimate {
 }
 
 impl LossEstimate {
-    /// Returns the interval for a message.
+    /// Returns the interval for a message. No stiffness is negative, so that a loss is at most 1.
     pub(crate) fn interval(&self) -> CredibleInterval {
         CredibleInterval {
             level: 0.95,
             low: self.low,
-            high: self.high,
+            high: self.high.min(1.0),
         }
     }
 }

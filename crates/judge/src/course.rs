@@ -306,13 +306,14 @@ impl Judging {
                     .map(|q| loss(step.size + q * std, per_stiffness)),
             }
         };
+        // A change does not begin after the day on which it was found.
         let found_day = |known: Option<Finding>| known.map_or(frame.day, |f| f.change().found_day);
         if let Some(known @ Finding::LearnedAway(_)) = known {
             return Some(known);
         }
         let lost = known.filter(|known| matches!(known, Finding::LastingLoss(_)));
         if (lost.is_some() || self.detector.finds_loss())
-            && let Some(step) = self.detector.loss()
+            && let Some(step) = self.detector.loss(found_day(lost))
         {
             return Some(Finding::LastingLoss(change(step, found_day(lost))));
         }
@@ -323,7 +324,7 @@ impl Judging {
             return Some(Finding::LearnedAway(change(step, frame.day)));
         }
         if (known.is_some() || (self.detector.finds_gain() && self.exceeds_reference()))
-            && let Some(step) = self.detector.gain()
+            && let Some(step) = self.detector.gain(found_day(known))
         {
             return Some(Finding::Stiffer(change(step, found_day(known))));
         }

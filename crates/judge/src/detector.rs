@@ -146,8 +146,8 @@ impl Detector {
         let matters = |step: Option<StepEstimate>| {
             step.is_some_and(|step| step.matters(day, unit, data.deviation))
         };
-        let loss = self.ln_loss() >= data.ln_threshold && matters(self.loss());
-        let gain = self.ln_gain() >= data.ln_threshold && matters(self.gain());
+        let loss = self.ln_loss() >= data.ln_threshold && matters(self.loss(day));
+        let gain = self.ln_gain() >= data.ln_threshold && matters(self.gain(day));
         self.held_loss = counted(loss, self.held_loss);
         self.held_gain = counted(gain, self.held_gain);
         if self.candidates.len() > MOST_CANDIDATES {
@@ -194,14 +194,14 @@ impl Detector {
         self.held_gain >= HELD_DAYS
     }
 
-    /// Returns the most likely step downwards.
-    pub(crate) fn loss(&self) -> Option<StepEstimate> {
-        self.most_likely(-1.0)
+    /// Returns the most likely step downwards until a day.
+    pub(crate) fn loss(&self, until: i64) -> Option<StepEstimate> {
+        self.most_likely(-1.0, until)
     }
 
-    /// Returns the most likely step upwards.
-    pub(crate) fn gain(&self) -> Option<StepEstimate> {
-        self.most_likely(1.0)
+    /// Returns the most likely step upwards until a day.
+    pub(crate) fn gain(&self, until: i64) -> Option<StepEstimate> {
+        self.most_likely(1.0, until)
     }
 
     /// Returns `true` if the most likely gain matters beside what the model has `learnt` before: a change
@@ -209,7 +209,7 @@ impl Detector {
     ///
     /// The model has learnt part of the gain itself. Only the rest is added.
     pub(crate) fn gains_beyond(&self, learnt: f64, x: &DVector<f64>) -> bool {
-        self.best(1.0).is_some_and(|best| {
+        self.best(1.0, i64::MAX).is_some_and(|best| {
             let rest = best.moment / best.information * best.remainder(x);
             learnt + rest >= SMALLEST_STEP * self.unit
         })
@@ -233,19 +233,20 @@ impl Detector {
     }
 
     /// Returns the candidate with the largest likelihood ratio, moment²/information,
-    /// among the steps of one sign.
+    /// among the steps of one sign until a day.
     ///
     /// The evidence would not do: its clipped residuals hardly distinguish neighbouring candidates.
-    fn best(&self, sign: f64) -> Option<&Candidate> {
+    fn best(&self, sign: f64, until: i64) -> Option<&Candidate> {
         let has_sign =
             |candidate: &&Candidate| candidate.information > 0.0 && sign * candidate.moment > 0.0;
         let ratio = |candidate: &Candidate| candidate.moment.powi(2) / candidate.information;
         let candidates = self.counting().filter(has_sign);
+        let candidates = candidates.filter(|candidate| candidate.day <= until);
         candidates.max_by(|a, b| ratio(a).total_cmp(&ratio(b)))
     }
 
-    fn most_likely(&self, sign: f64) -> Option<StepEstimate> {
-        let best = self.best(sign)?;
+    fn most_likely(&self, sign: f64, until: i64) -> Option<StepEstimate> {
+        let best = self.best(sign, until)?;
         Some(StepEstimate {
             day: best.day,
             size: best.moment / best.information,

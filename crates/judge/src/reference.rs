@@ -14,7 +14,7 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Shortest commissioning (days): a season.
+/// Shortest commissioning (days) with a temperature: a season.
 const SEASON_DAYS: i64 = 90;
 /// Smallest share of the days of the commissioning that must have data.
 const SMALLEST_SHARE: f64 = 0.5;
@@ -64,7 +64,7 @@ pub(crate) struct Reference {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Missing {
-    /// The commissioning is shorter than a season.
+    /// The commissioning is shorter than a season, or than a year without a temperature.
     Season {
         /// Days since its start.
         days: u32,
@@ -91,7 +91,11 @@ impl std::fmt::Display for Missing {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Season { days, needed } => {
-                write!(f, "the commissioning spans {days} days and needs {needed}")
+                write!(f, "the commissioning spans {days} days and needs {needed}")?;
+                match i64::from(*needed) == YEAR_DAYS {
+                    true => f.write_str(", because no temperature is measured"),
+                    false => Ok(()),
+                }
             }
             Self::Days { days, needed } => write!(
                 f,
@@ -126,10 +130,17 @@ impl Reference {
     ) -> Result<Self, Missing> {
         let (from_day, to_day) = span(days);
         let spans = (to_day - from_day + 1).max(0);
-        if settings.season == Season::Required && spans < SEASON_DAYS {
+        // Without a temperature, a season looks like a lasting change.
+        let has_temperature = settings.conditions.iter().any(|c| c.kind.is_temperature());
+        let season = if has_temperature {
+            SEASON_DAYS
+        } else {
+            YEAR_DAYS
+        };
+        if settings.season == Season::Required && spans < season {
             return Err(Missing::Season {
                 days: spans as u32,
-                needed: SEASON_DAYS as u32,
+                needed: season as u32,
             });
         }
         let needed = ((spans as f64 * SMALLEST_SHARE).ceil() as usize).max(SMALLEST_DAYS);

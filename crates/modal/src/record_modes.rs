@@ -41,6 +41,8 @@ pub struct ModeSummary {
     pub damping: f64,
     /// Standard deviation of the damping ratio of one epoch, as stated.
     pub damping_std: f64,
+    /// Standard deviation of `damping`, from the stated ones of the epochs.
+    pub damping_of_mean_std: f64,
     /// Share of the epochs in which the mode was found, 0 to 1.
     pub epochs: f64,
     /// Mean modal phase collinearity, 0 to 1. A real mode shape has 1.
@@ -146,14 +148,11 @@ fn summary(id: Option<ModeId>, modes: &[&Mode], epochs: f64) -> Option<ModeSumma
         .iter()
         .min_by(|a, b| a.frequency_std_hz.total_cmp(&b.frequency_std_hz))?;
     let n = modes.len() as f64;
+    let weight = |std: f64| std.max(f64::MIN_POSITIVE.sqrt()).powi(-2);
+    let weights = |std: fn(&Mode) -> f64| modes.iter().map(|mode| weight(std(mode))).sum::<f64>();
     let weighted = |value: fn(&Mode) -> f64, std: fn(&Mode) -> f64| {
-        let weight = |mode: &Mode| std(mode).max(f64::MIN_POSITIVE.sqrt()).powi(-2);
-        let weights: f64 = modes.iter().map(|mode| weight(mode)).sum();
-        modes
-            .iter()
-            .map(|mode| value(mode) * weight(mode))
-            .sum::<f64>()
-            / weights
+        let sum = modes.iter().map(|mode| value(mode) * weight(std(mode)));
+        sum.sum::<f64>() / weights(std)
     };
     let rms = |std: fn(&Mode) -> f64| {
         (modes.iter().map(|mode| std(mode).powi(2)).sum::<f64>() / n).sqrt()
@@ -172,6 +171,7 @@ fn summary(id: Option<ModeId>, modes: &[&Mode], epochs: f64) -> Option<ModeSumma
         frequency_scatter_hz: (modes.len() > 1).then(|| (squares / (n - 1.0)).sqrt()),
         damping: weighted(|mode| mode.damping, |mode| mode.damping_std),
         damping_std: rms(|mode| mode.damping_std),
+        damping_of_mean_std: weights(|mode| mode.damping_std).powf(-0.5),
         epochs: n / epochs,
         collinearity: modes.iter().map(|mode| mode.collinearity).sum::<f64>() / n,
         kurtosis: (!kurtoses.is_empty())

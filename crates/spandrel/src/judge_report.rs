@@ -116,6 +116,7 @@ impl fmt::Display for Summary<'_> {
                 count(|state| matches!(state, State::OutsideExperience { .. })),
                 count(|state| matches!(state, State::NoStatement { .. })),
             )?;
+            write_late_reference(f, course)?;
             for judgement in course.iter().filter(|judgement| judgement.raised) {
                 let kind = judgement.finding.map_or("", |finding| finding.name());
                 writeln!(
@@ -128,6 +129,26 @@ impl fmt::Display for Summary<'_> {
             writeln!(f, "  {} {}", date(last.day), last.sentence())?;
         }
         Ok(())
+    }
+}
+
+/// States how long a commissioning was extended, and why, if its reference is ready now.
+fn write_late_reference(f: &mut fmt::Formatter<'_>, course: &[&Judgement]) -> fmt::Result {
+    let is_late = |judgement: &&&Judgement| matches!(judgement.state, State::NotReady { .. });
+    let learns = |judgement: &&&Judgement| matches!(judgement.state, State::Learning { .. });
+    let (Some(first), Some(learnt)) = (course.iter().find(is_late), course.iter().rfind(learns))
+    else {
+        return Ok(());
+    };
+    match &first.state {
+        State::NotReady { missing } if learnt.day > first.day => writeln!(
+            f,
+            "  reference not ready on {}: {missing}; the commissioning was extended by {} days, to {}",
+            date(first.day),
+            learnt.day - first.day,
+            date(learnt.day)
+        ),
+        _ => Ok(()),
     }
 }
 

@@ -182,7 +182,10 @@ fn check_row(path: &Path, plan: &JudgePlan, line: u64, epoch: &Epoch) -> Result<
             path: path.to_owned(),
             line,
             column: column.clone(),
-            what: format!("is {}, must be above 0", value.unwrap_or_default()),
+            what: format!(
+                "is {}, must be above 0; leave the value of a mode that was not found empty",
+                value.unwrap_or_default()
+            ),
         }),
         None => Ok(()),
     }

@@ -35,6 +35,12 @@ impl Choice {
     }
 }
 
+/// A mode recurs if it is found in this share of the epochs, and in this number of them. The mean of its
+/// damping ratio then decides whether it is listed, and not that of one epoch: a spurious mode does
+/// not recur.
+const RECURRING_SHARE: f64 = 0.8;
+const RECURRING_EPOCHS: f64 = 3.0;
+
 /// The modes of a recording.
 #[derive(Debug)]
 pub struct Analysis {
@@ -48,9 +54,9 @@ pub struct Analysis {
     pub record: RecordModes,
     /// Modes and machines of the recording.
     pub modes: Vec<ModeSummary>,
-    /// Number of modes that are not among `modes`, because their damping ratio does not exceed
+    /// Modes that are not among `modes`, because their damping ratio does not exceed
     /// [`CERTAIN_DAMPING`] times its own standard deviation. Most of these modes are spurious.
-    pub uncertain: usize,
+    pub uncertain: Vec<ModeSummary>,
     /// What the service `modes` would publish: the declared modes after each epoch, and events.
     pub declared: Vec<ModesOutput>,
     /// The stiffnesses that the declared modes update. `None` if they update none.
@@ -165,13 +171,19 @@ fn identify(
         }));
     }
     let is_certain = |mode: &ModeSummary| {
-        mode.source == Source::Machine || mode.damping > CERTAIN_DAMPING * mode.damping_std
+        let found = mode.epochs * epochs.len() as f64;
+        let recurs = mode.epochs >= RECURRING_SHARE && found >= RECURRING_EPOCHS;
+        let std = match recurs {
+            true => mode.damping_of_mean_std,
+            false => mode.damping_std,
+        };
+        mode.source == Source::Machine || mode.damping > CERTAIN_DAMPING * std
     };
     let (modes, uncertain): (Vec<_>, Vec<_>) = record.summary().into_iter().partition(is_certain);
     Ok(Analysis {
         bands: fresh.settings().cloned().collect(),
         modes,
-        uncertain: uncertain.len(),
+        uncertain,
         epochs,
         recording,
         record,

@@ -124,11 +124,15 @@ pub fn text(records: Recordings<'_>, analysis: &Analysis) -> String {
             Source::Machine => "  a machine, not a mode: no damping, constant amplitude\n",
         };
     }
-    if analysis.uncertain > 0 {
-        let modes = counted(analysis.uncertain, "mode", "modes");
+    if !analysis.uncertain.is_empty() {
+        let modes = counted(analysis.uncertain.len(), "mode", "modes");
+        let at = analysis.uncertain.iter();
+        let at: Vec<String> = at.map(|mode| format!("{:.2}", mode.frequency_hz)).collect();
         let _ = writeln!(
             text,
-            "not listed: {modes} whose damping ratio is less than twice its standard deviation"
+            "not listed: {modes} whose damping ratio is less than twice its standard deviation, at \
+             {} Hz",
+            at.join(", ")
         );
     }
     text + &differing_text(records, analysis)
@@ -261,6 +265,8 @@ pub fn json(records: Recordings<'_>, analysis: &Analysis) -> String {
             json!({ "path": frames.path.display().to_string(), "length_s": frames.length_s() })
         })
         .collect();
+    let uncertain = analysis.uncertain.iter();
+    let uncertain_hz: Vec<f64> = uncertain.map(|mode| mode.frequency_hz).collect();
     let all = json!({
         "path": records.path.display().to_string(),
         "recordings": recordings,
@@ -269,7 +275,8 @@ pub fn json(records: Recordings<'_>, analysis: &Analysis) -> String {
         "left_out_of_epochs": absent(&frames.names, analysis),
         "sampling_rate_hz": frames.rate_hz,
         "modes": modes,
-        "uncertain_modes": analysis.uncertain,
+        "uncertain_modes": analysis.uncertain.len(),
+        "uncertain_frequencies_hz": uncertain_hz,
         "epochs": epochs,
         "declared_modes": displays(analysis).collect::<Vec<_>>(),
         "stiffness": stiffness::json(records, analysis),
