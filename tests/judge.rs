@@ -270,6 +270,46 @@ fn a_series_without_its_thermometer_gives_no_alarm() {
 }
 
 #[test]
+fn a_series_without_a_temperature_needs_a_commissioning_of_a_year() {
+    let folder = tempfile::tempdir().unwrap();
+    let toml = folder.path().join("blind.toml");
+    let quantity = "[[judge.quantity]]\nname = \"first\"\nis = \"frequency\"\ncolumn = \"f1_hz\"\n";
+    let structure = |days: u32| {
+        format!("[structure]\nname = \"blind\"\n[judge]\ncommissioning-days = {days}\n{quantity}")
+    };
+    for (days, state) in [
+        (120, "because no temperature is measured"),
+        (365, "days judged"),
+    ] {
+        std::fs::write(&toml, structure(days)).unwrap();
+        let output = judge(&toml, &example("footbridge.csv"), &[]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let stdout = text(&output.stdout);
+        assert!(stdout.contains(state), "{days} days: {stdout}");
+        let extended = stdout.contains("the commissioning was extended by 210 days");
+        assert_eq!(extended, days == 120, "{stdout}");
+    }
+}
+
+#[test]
+fn the_check_of_a_file_for_judgement_alone_names_its_quantities_and_conditions() {
+    let output = Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .arg("check")
+        .arg(example("footbridge.toml"))
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let stdout = text(&output.stdout);
+    for part in [
+        "no model, for judgement only",
+        "quantities: first-bending, first-torsion",
+        "conditions: deck",
+    ] {
+        assert!(stdout.contains(part), "{part}\n{stdout}");
+    }
+}
+
+#[test]
 fn a_year_of_ten_quantities_is_judged() {
     let folder = tempfile::tempdir().unwrap();
     let (toml, csv) = (

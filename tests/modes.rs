@@ -344,6 +344,31 @@ fn dead_sensors_of_a_floating_bridge_are_named() {
     }
 }
 
+/// Regression test: the standard deviation of the damping ratio of one epoch decided, so that lightly
+/// damped fundamental modes were not listed.
+#[test]
+fn all_modes_of_a_lightly_damped_structure_are_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name).display().to_string();
+    let example = include_str!("../docs/examples/modes/ambient.toml");
+    let light = example.replace("\nratio = 0.02", "\nratio = 0.003");
+    assert_ne!(light, example);
+    std::fs::write(file("light.toml"), light).unwrap();
+    let simulated = Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .args(["simulate", &file("light.toml"), "--duration", "1800"])
+        .args(["--seed", "2", "--record", &file("light.csv")])
+        .output()
+        .unwrap();
+    assert!(simulated.status.success(), "{simulated:?}");
+    let found = json(&[&file("light.csv"), "--epoch", "150", "--json"]);
+    let modes = sources(&found, "mode");
+    for frequency_hz in [1.00, 2.92, 4.60, 5.91, 6.74] {
+        let mode = nearest(&modes, frequency_hz);
+        let error = mode["frequency_hz"].as_f64().unwrap() / frequency_hz - 1.0;
+        assert!(error.abs() < 0.005, "{frequency_hz} Hz: {mode}");
+    }
+}
+
 /// Returns the structure file of the test tower, whose modes update a shear chain.
 fn tower(folder: &Path) -> String {
     let file = folder.join("tower.toml");

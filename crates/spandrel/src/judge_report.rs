@@ -3,9 +3,11 @@
 use serde_json::json;
 use spandrel_bus::CourseRow;
 use spandrel_judge::{
-    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State, date,
+    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State,
+    YEAR_DAYS, date,
 };
 use spandrel_judging::{LEAST_LN_EVIDENCE, course_row};
+use spandrel_structure::JudgedStructure;
 use std::fmt::{self, Write as _};
 
 /// A judgement with its structure and date.
@@ -60,6 +62,42 @@ impl<'j> DayLine<'j> {
         })
         .to_string()
     }
+}
+
+/// What a structure file without a model declares for judgement.
+pub struct JudgedPage<'s>(pub &'s JudgedStructure);
+
+impl JudgedPage<'_> {
+    /// Returns the page as JSON.
+    pub fn json(&self) -> String {
+        let JudgedStructure { name, plan } = self.0;
+        let page = json!({
+            "structure": name,
+            "quantities": names(&plan.settings.quantities, |quantity| &quantity.name),
+            "conditions": names(&plan.settings.conditions, |condition| &condition.name),
+        });
+        format!("{page:#}\n")
+    }
+}
+
+impl fmt::Display for JudgedPage<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let JudgedStructure { name, plan } = self.0;
+        let listed = |names: Vec<&str>| match names.is_empty() {
+            true => "none".to_owned(),
+            false => names.join(", "),
+        };
+        let quantities = names(&plan.settings.quantities, |quantity| &quantity.name);
+        let conditions = names(&plan.settings.conditions, |condition| &condition.name);
+        writeln!(f, "{name}: no model, for judgement only")?;
+        writeln!(f, "  quantities: {}", listed(quantities))?;
+        writeln!(f, "  conditions: {}", listed(conditions))?;
+        writeln!(f, "judge a series with spandrel judge --series")
+    }
+}
+
+fn names<T>(of: &[T], name: fn(&T) -> &String) -> Vec<&str> {
+    of.iter().map(|one| name(one).as_str()).collect()
 }
 
 /// What happened in a series, and how it ended.
@@ -127,9 +165,27 @@ impl fmt::Display for Summary<'_> {
                 )?;
             }
             writeln!(f, "  {} {}", date(last.day), last.sentence())?;
+            let learns =
+                |judgement: &&&Judgement| matches!(judgement.state, State::Learning { .. });
+            let learnt = course
+                .iter()
+                .rfind(learns)
+                .map_or(first.day, |learnt| learnt.day);
+            let commissioning_days = learnt - first.day + 1;
+            if last.finding.is_some() && commissioning_days < YEAR_DAYS {
+                writeln!(f, "  {}", short_text(commissioning_days))?;
+            }
         }
         Ok(())
     }
+}
+
+/// Returns what a commissioning of less than a year cannot tell.
+fn short_text(days: i64) -> String {
+    format!(
+        "the commissioning of {days} days does not contain all seasons; a seasonal change can look \
+         like a lasting one"
+    )
 }
 
 /// States how long a commissioning was extended, and why, if its reference is ready now.
@@ -211,6 +267,10 @@ fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
         rate(performance.promised_per_year),
         rate(performance.achieved_per_year)
     );
+    let commissioning_days = reference.to_day - reference.from_day + 1;
+    if commissioning_days < YEAR_DAYS {
+        let _ = writeln!(text, "  {}", short_text(commissioning_days));
+    }
     for delay in &performance.delays {
         let _ = writeln!(text, "  {}", delay_text(delay));
     }

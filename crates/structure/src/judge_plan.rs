@@ -42,6 +42,22 @@ impl JudgedStructure {
         Self::parse(&read_text(path)?, path)
     }
 
+    /// Reads a structure file with a `[judge]` table and without a model. Returns `None` for a file
+    /// that has a model, or no such table.
+    ///
+    /// # Errors
+    /// As for [`JudgedStructure::read`].
+    pub fn read_without_model(path: &Path) -> Result<Option<Self>, StructureError> {
+        let text = read_text(path)?;
+        let tables: Option<toml::Table> = toml::from_str(&text).ok();
+        let is_alone =
+            |tables: toml::Table| tables.contains_key("judge") && !tables.contains_key("model");
+        match tables.is_some_and(is_alone) {
+            true => Self::parse(&text, path).map(Some),
+            false => Ok(None),
+        }
+    }
+
     /// Parses the text of a structure file. Messages contain `path`.
     ///
     /// # Errors

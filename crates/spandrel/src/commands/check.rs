@@ -6,6 +6,7 @@ use super::{print, progress};
 use crate::check_report::CheckPage;
 use crate::cli::CheckArguments;
 use crate::error::AppError;
+use crate::judge_report::JudgedPage;
 use crate::modal_check::ModalCheckPage;
 use crate::role_check::{self, Need, Work};
 use crate::sensor_report::SensorPage;
@@ -13,7 +14,7 @@ use crate::services::block_on;
 use crate::settings::Settings;
 use spandrel_bus::{Block as _, Bus, Delivery, FrameBlock, Start, StreamSettings};
 use spandrel_faults::SensorCheck;
-use spandrel_structure::Structure;
+use spandrel_structure::{JudgedStructure, Structure};
 use std::path::Path;
 use std::time::Duration;
 use tracing::info;
@@ -41,6 +42,13 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
             Some(seconds) => live(&structure, seconds, &arguments)?,
             None => SensorPage::of_records(&structure, &arguments.record)?,
         };
+        return print(&match arguments.json {
+            true => page.json(),
+            false => page.to_string(),
+        });
+    }
+    if let Some(judged) = JudgedStructure::read_without_model(&arguments.structure)? {
+        let page = JudgedPage(&judged);
         return print(&match arguments.json {
             true => page.json(),
             false => page.to_string(),
