@@ -1,9 +1,9 @@
 //! Writes a recording in memory to a file, in SI units where the original units are known.
 
-use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::Path;
 
+use crate::new_file;
 use crate::{
     ChannelColumn, ColumnMapping, CsvWriter, McapChannel, McapWriter, RecordError, RecordReader,
     RecordedChannel, RecordedFile, RecordedRows, formats::table::unit_of,
@@ -120,17 +120,15 @@ impl RecordedFile {
     }
 
     /// Writes the recording as CSV, MCAP or miniSEED, depending on the extension `.csv`, `.mcap` or
-    /// `.mseed`.
+    /// `.mseed`. An existing file is replaced when the new one is complete.
     ///
     /// # Errors
     /// The extension is not supported, or one of the errors of [`Self::write_to`] occurs.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let format = OutputFormat::of(path)?;
-        let file = File::create(path).map_err(|source| RecordError::Open {
-            path: path.to_owned(),
-            source,
-        })?;
-        self.write_to(format, path, BufWriter::new(file))
+        let mut output = BufWriter::new(new_file::create(path)?);
+        self.write_to(format, path, &mut output)?;
+        new_file::finish_buffered(output)
     }
 
     /// Writes the recording in a format to `output`. Errors name `path`.
@@ -170,7 +168,7 @@ impl RecordedFile {
         while let Some(row) = rows.next_row()? {
             writer.write_row(row.time_ns, row.values)?;
         }
-        writer.finish()
+        writer.finish().map(drop)
     }
 
     /// Checks that all channels have times.
@@ -239,7 +237,7 @@ impl RecordedFile {
                 writer.write(place, time_ns, sample * *factor)?;
             }
         }
-        writer.finish()
+        writer.finish().map(drop)
     }
 }
 
@@ -397,6 +395,21 @@ mod tests {
                 "{name}"
             );
         }
+    }
+
+    #[test]
+    fn refused_conversion_leaves_an_existing_file_unchanged() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.csv");
+        std::fs::write(&path, "before").unwrap();
+        let channel = |name: &str, rate_hz| {
+            RecordedChannel::new(name, Some(rate_hz), vec![Segment::new(0, vec![1.0, 2.0])])
+        };
+        let channels = vec![channel("a", 100.0), channel("b", 200.0)];
+        let file = RecordedFile::from_channels(Path::new("hall.v2"), Format::Csmip, channels);
+        assert!(file.write(&path).is_err());
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "before");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

@@ -29,23 +29,12 @@ impl CsvWriter {
     /// # Errors
     /// The file cannot be created or written.
     pub fn create<S: AsRef<str>>(path: &Path, columns: &[S]) -> Result<Self, RecordError> {
-        Self::create_mapped(
-            path,
-            &ColumnMapping::by_name(columns.iter().map(AsRef::as_ref)),
-        )
-    }
-
-    /// Creates a file like [`CsvWriter::create`], with the columns, units and time column of
-    /// `mapping`.
-    ///
-    /// # Errors
-    /// The file cannot be created or written.
-    pub fn create_mapped(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
+        let mapping = ColumnMapping::by_name(columns.iter().map(AsRef::as_ref));
         let file = File::create(path).map_err(|source| RecordError::Open {
             path: path.to_owned(),
             source,
         })?;
-        Self::new(file, path, mapping)
+        Self::new(file, path, &mapping)
     }
 }
 
@@ -120,13 +109,18 @@ impl<W: Write> CsvWriter<W> {
             .map_err(|source| self.error(source))
     }
 
-    /// Flushes buffered rows to the file. Dropping the writer without this call may silently lose
-    /// the last rows.
+    /// Flushes buffered rows, and returns the output. Dropping the writer without this call may
+    /// silently lose the last rows.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn finish(mut self) -> Result<(), RecordError> {
-        self.csv.flush().map_err(|source| self.error(source.into()))
+    pub fn finish(self) -> Result<W, RecordError> {
+        let (path, line) = (self.path, self.line);
+        self.csv.into_inner().map_err(|error| RecordError::Write {
+            path,
+            line,
+            source: error.into_error().into(),
+        })
     }
 
     fn write_field(&mut self) -> Result<(), RecordError> {

@@ -209,7 +209,7 @@ pub enum RecordError {
         /// The allowed values.
         allowed: String,
     },
-    /// A file or folder of the frame log could not be written.
+    /// A new file, or a file or folder of the frame log, could not be written.
     #[error("{}: cannot be written", path.display())]
     WriteLog {
         /// The file or folder.

@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
-use crate::{CsvWriter, RecordError};
+use crate::new_file::{self, NewFile};
+use crate::{ColumnMapping, CsvWriter, RecordError};
 
 /// A writer of estimates as CSV: the time in s, then `NAME.mean` and `NAME.std` of each quantity.
+/// It replaces an existing file when it has finished.
 pub struct EstimateWriter {
-    csv: CsvWriter,
+    csv: CsvWriter<NewFile>,
     row: Vec<f64>,
 }
 
@@ -26,7 +28,11 @@ impl EstimateWriter {
             })
             .collect();
         Ok(Self {
-            csv: CsvWriter::create(path, &columns)?,
+            csv: CsvWriter::new(
+                new_file::create(path)?,
+                path,
+                &ColumnMapping::by_name(columns.iter().map(String::as_str)),
+            )?,
             row: Vec::with_capacity(columns.len()),
         })
     }
@@ -48,13 +54,12 @@ impl EstimateWriter {
         self.csv.write_row(time_ns, &self.row)
     }
 
-    /// Flushes buffered rows to the file. Dropping the writer without this call may silently lose
-    /// the last rows.
+    /// Completes the file. Dropping the writer without this call removes the rows.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn finish(self) -> Result<(), RecordError> {
-        self.csv.finish()
+        new_file::finish(self.csv.finish()?)
     }
 }
 

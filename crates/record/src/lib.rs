@@ -33,6 +33,7 @@
 //! - [`spectrum`], [`recording_summary`]: summarise the content of a recording
 //! - [`csv_writer`], [`mcap_writer`], [`record_writer`], [`estimate_writer`], [`convert`]: write
 //!   files; [`convert`] also writes miniSEED
+//! - [`NewFile`]: replaces a file once the new content is complete
 //! - [`frame_log`]: records frames on disk before they are published
 //!
 //! Samples are resampled or filtered only on request, and never interpolated. Alignment, not
@@ -52,6 +53,7 @@ pub mod frame_log;
 mod mcap_record;
 pub mod mcap_writer;
 mod mini_seed_writer;
+mod new_file;
 pub mod quantity;
 mod rate;
 pub mod record_reader;
@@ -83,6 +85,7 @@ pub use frame_log::{
     NodePosition, OpenedLog,
 };
 pub use mcap_writer::{McapChannel, McapWriter};
+pub use new_file::{NewFile, write_whole};
 pub use quantity::Quantity;
 pub use record_reader::{RecordReader, Row};
 pub use record_writer::RecordWriter;

@@ -62,13 +62,16 @@ impl McapWriter {
         })?;
         Self::new(BufWriter::new(file), path, channels)
     }
+}
 
-    /// Creates a file for rows at `rate_hz` (Hz), with the columns and units of `mapping`. Times
-    /// are relative to the start of the recording.
+impl<W: Write + Seek> McapWriter<W> {
+    /// Writes the metadata of a file for rows at `rate_hz` (Hz), with the columns and units of
+    /// `mapping`. Times are relative to the start of the recording. Errors name `path`.
     ///
     /// # Errors
-    /// The file cannot be created or written.
-    pub fn create_mapped(
+    /// The output cannot be written.
+    pub fn mapped(
+        output: W,
         path: &Path,
         mapping: &ColumnMapping,
         rate_hz: f64,
@@ -83,12 +86,10 @@ impl McapWriter {
         let channels: Vec<McapChannel> = mapping.channels().iter().map(stated).collect();
         Ok(Self {
             columns: mapping.channels().to_vec(),
-            ..Self::create(path, &channels)?
+            ..Self::new(output, path, &channels)?
         })
     }
-}
 
-impl<W: Write + Seek> McapWriter<W> {
     /// Writes the metadata of the channels to `output`. Errors name `path`.
     ///
     /// # Errors
@@ -200,14 +201,14 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(())
     }
 
-    /// Writes the index and the end of the file. Dropping the writer without this call may silently
-    /// lose the last chunk.
+    /// Writes the index and the end of the file, and returns the output. Dropping the writer without
+    /// this call may silently lose the last chunk.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn finish(mut self) -> Result<(), RecordError> {
+    pub fn finish(mut self) -> Result<W, RecordError> {
         match self.writer.finish() {
-            Ok(_) => Ok(()),
+            Ok(_) => Ok(self.writer.into_inner()),
             Err(source) => Err(self.error(source)),
         }
     }

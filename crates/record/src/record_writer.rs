@@ -1,18 +1,20 @@
 //! Writes rows in the format that the file name indicates.
 
+use std::io::BufWriter;
 use std::path::Path;
 
+use crate::new_file::{self, NewFile};
 use crate::{ColumnMapping, CsvWriter, McapWriter, OutputFormat, RecordError};
 
 /// Extensions of formats that are written row by row. miniSEED is written channel by channel.
 const ROW_OUTPUTS: &[&str] = &[".csv", ".mcap"];
 
-/// A writer of records, row by row, as CSV or MCAP.
+/// A writer of records, row by row, as CSV or MCAP. It replaces an existing file when it has finished.
 pub enum RecordWriter {
     /// Comma-separated values.
-    Csv(Box<CsvWriter>),
+    Csv(Box<CsvWriter<NewFile>>),
     /// MCAP, with one topic per channel.
-    Mcap(Box<McapWriter>),
+    Mcap(Box<McapWriter<BufWriter<NewFile>>>),
 }
 
 impl RecordWriter {
@@ -24,10 +26,14 @@ impl RecordWriter {
     pub fn create(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
         match OutputFormat::of(path)? {
             OutputFormat::Csv => {
-                CsvWriter::create_mapped(path, mapping).map(|writer| Self::Csv(Box::new(writer)))
+                let writer = CsvWriter::new(new_file::create(path)?, path, mapping)?;
+                Ok(Self::Csv(Box::new(writer)))
             }
-            OutputFormat::Mcap => McapWriter::create_mapped(path, mapping, rate_hz)
-                .map(|writer| Self::Mcap(Box::new(writer))),
+            OutputFormat::Mcap => {
+                let output = BufWriter::new(new_file::create(path)?);
+                let writer = McapWriter::mapped(output, path, mapping, rate_hz)?;
+                Ok(Self::Mcap(Box::new(writer)))
+            }
             OutputFormat::MiniSeed => Err(RecordError::UnknownOutput {
                 path: path.to_owned(),
                 allowed: ROW_OUTPUTS,
@@ -46,14 +52,14 @@ impl RecordWriter {
         }
     }
 
-    /// Completes the file. Dropping the writer without this call may silently lose the last rows.
+    /// Completes the file. Dropping the writer without this call removes the rows.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn finish(self) -> Result<(), RecordError> {
         match self {
-            Self::Csv(writer) => writer.finish(),
-            Self::Mcap(writer) => writer.finish(),
+            Self::Csv(writer) => new_file::finish(writer.finish()?),
+            Self::Mcap(writer) => new_file::finish_buffered(writer.finish()?),
         }
     }
 }

@@ -131,7 +131,8 @@ impl Records {
         for (time_ns, values) in &recorded.rows {
             writer.write_row(*time_ns, values)?;
         }
-        Ok(writer.finish()?)
+        writer.finish()?;
+        Ok(())
     }
 
     /// Keeps the report of a recording.

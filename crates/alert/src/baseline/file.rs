@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use spandrel_faults::SensorReference;
+use spandrel_record::write_whole;
 
 use super::{Baseline, ParameterBaseline, WithoutSensor};
 use crate::AlertError;
@@ -132,7 +133,8 @@ impl Baseline {
         }
     }
 
-    /// Writes the baseline file in version 3.
+    /// Writes the baseline file in version 3. An existing file is replaced when the new one is
+    /// complete.
     ///
     /// # Errors
     /// Fails if the file is not writable.
@@ -150,7 +152,8 @@ impl Baseline {
                 path: path.to_owned(),
                 source,
             })?;
-        std::fs::write(path, text + "\n").map_err(|source| AlertError::File {
+        let written = write_whole(path, (text + "\n").as_bytes());
+        written.map_err(|source| AlertError::File {
             path: path.to_owned(),
             source,
         })

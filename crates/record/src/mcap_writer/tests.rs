@@ -34,7 +34,7 @@ fn written(steps: i64, is_killed: bool) -> Vec<u8> {
     match is_killed {
         // Like after `kill -9`, nothing is dropped or flushed.
         true => std::mem::forget(writer),
-        false => writer.finish().unwrap(),
+        false => drop(writer.finish().unwrap()),
     }
     std::fs::read(&path).unwrap()
 }
