@@ -49,9 +49,7 @@ pub(crate) async fn pass(
         .gate()
         .admit_for_long(request.headers(), address.0, server.since_start())
     {
-        Ok((visitor, end))
-            if request.method() == Method::GET || visitor.role == PageRole::Operator =>
-        {
+        Ok((visitor, end)) if only_reads(&request) || visitor.role == PageRole::Operator => {
             request.extensions_mut().insert(visitor);
             end.and_then(|end| request.extensions_mut().insert(end));
             next.run(request).await
@@ -64,6 +62,11 @@ pub(crate) async fn pass(
         }
         Err(refusal) => refused(refusal, address.0),
     }
+}
+
+/// Returns `true` if a request changes nothing.
+fn only_reads(request: &Request) -> bool {
+    [Method::GET, Method::HEAD].contains(request.method())
 }
 
 /// Checks what does not depend on a token: the host name, and the origin of a request that changes
@@ -80,8 +83,7 @@ fn check_request(server: &Server, request: &Request, address: IpAddr) -> Result<
     if server.gate().is_open() {
         check_host(headers).map_err(audited(Refused::ForeignHost))?;
     }
-    let only_reads = [Method::GET, Method::HEAD].contains(request.method());
-    if !only_reads || request.uri().path() == LIVE_DATA_PATH {
+    if !only_reads(request) || request.uri().path() == LIVE_DATA_PATH {
         let is_secure = server.gate().is_secure();
         check_origin(headers, is_secure).map_err(audited(Refused::ForeignOrigin))?;
     }

@@ -291,6 +291,8 @@ async fn a_viewer_reads_and_an_operator_acknowledges_too() {
     for token in [&viewer, &operator] {
         assert_eq!(site.status("GET", "/api/structures", token).await, 200);
         assert_eq!(site.status("GET", "/metrics", token).await, 200);
+        // Monitoring tools ask with HEAD whether a page answers.
+        assert_eq!(site.status("HEAD", "/api/structures", token).await, 200);
     }
     assert_eq!(site.status("POST", ACKNOWLEDGE, &viewer).await, 403);
     assert_eq!(
