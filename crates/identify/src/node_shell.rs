@@ -191,21 +191,26 @@ impl NodeService {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
             let answers = self.feedback.messages().clone();
+            // The estimate whose feedback the samples await, and the end of the wait. It outlasts the
+            // turns of the loop, because the status ends one every second.
+            let mut wait: Option<(u64, Instant)> = None;
             loop {
-                let waits = self
-                    .core
-                    .as_ref()
-                    .is_some_and(|core| core.awaits().is_some());
+                let awaited = self.core.as_ref().and_then(NodeIdentification::awaits);
+                if awaited != wait.map(|(estimate, _)| estimate) {
+                    wait = awaited.map(|estimate| (estimate, Instant::now() + ANSWER_WITHIN));
+                }
+                let deadline = wait.map_or_else(Instant::now, |(_, deadline)| deadline);
                 tokio::select! {
                     answer = answers.recv_async() => match answer {
                         Ok((_, feedback)) => self.take(NodeInput::Feedback(feedback)).await?,
                         Err(flume::RecvError::Disconnected) => break,
                     },
-                    delivery = self.samples.next(), if !waits => match delivery {
+                    delivery = self.samples.next(), if wait.is_none() => match delivery {
                         Some(delivery) => self.take_delivery(delivery).await?,
                         None => break,
                     },
-                    () = tokio::time::sleep(ANSWER_WITHIN), if waits => {
+                    () = tokio::time::sleep_until(deadline), if wait.is_some() => {
+                        wait = None;
                         let (structure, node) = (self.structure.as_str(), self.node.as_str());
                         warn!(structure, node, "no reply from the station; continuing without it");
                         self.take(NodeInput::NoAnswer).await?;

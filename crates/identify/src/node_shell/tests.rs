@@ -22,6 +22,7 @@ struct Lives {
     remembering: Remembering,
     samples: NumberedPublisher<SampleBlock>,
     put: u64,
+    pace: Pace,
     /// Number of the poisoned sample.
     poisoned: Option<u64>,
     _folder: tempfile::TempDir,
@@ -62,6 +63,7 @@ impl Lives {
             remembering,
             samples,
             put: FIRST,
+            pace: Pace::Live,
             poisoned: None,
             _folder: folder,
         }
@@ -105,7 +107,7 @@ impl Lives {
         within(what, measured).await
     }
 
-    /// Publishes a live block of a slow oscillation.
+    /// Publishes a block of a slow oscillation.
     async fn put(&mut self) {
         let node = &self.structure.nodes()[0];
         let rate_hz = self
@@ -126,7 +128,7 @@ impl Lives {
                 time_ns: (self.put as f64 * 1e9 / rate_hz) as i64,
             },
             sampling_rate_hz: rate_hz,
-            pace: Pace::Live,
+            pace: self.pace,
             channels: node.channels().len() as u16,
             samples: numbers
                 .flat_map(|number| vec![value(number); node.channels().len()])
@@ -266,4 +268,36 @@ async fn samples_that_cause_a_panic_are_set_aside_after_restarts() {
         .await
         .unwrap()
         .unwrap();
+}
+
+/// Regression: each status began the wait anew, so that replayed samples waited forever for a station
+/// that has crashed.
+#[tokio::test(flavor = "multi_thread")]
+async fn replayed_samples_continue_without_the_reply_of_a_station() {
+    let mut lives = Lives::new().await;
+    lives.pace = Pace::Replayed;
+    let node = Name::new(lives.structure.nodes()[0].name()).unwrap();
+    let local = lives
+        .bus
+        .subscribe::<LocalMessage>(lives.keys.local(&node), 1024)
+        .await
+        .unwrap();
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let run = tokio::spawn(
+        lives
+            .begin(1, &SetAside::default())
+            .await
+            .run(Box::pin(async move { drop(stopped.await) })),
+    );
+    lives
+        .measure_until("an estimate", estimate_of(&local, 1))
+        .await;
+    lives
+        .measure_until(
+            "an estimate after the one without a reply",
+            estimate_of(&local, 1),
+        )
+        .await;
+    drop(stop);
+    within("the end of the worker", run).await.unwrap().unwrap();
 }
