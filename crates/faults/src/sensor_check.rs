@@ -109,6 +109,20 @@ pub struct Change {
     pub before: Soundness,
     /// The judgement now.
     pub now: Soundness,
+    /// The most probable fault now. `None` for a channel that works.
+    pub fault: Option<Fault>,
+}
+
+/// What a complete window shows of the channels of a group.
+#[derive(Debug)]
+struct Shown<'a> {
+    group: &'a Group,
+    /// Whether the window has samples of each channel.
+    is_present: Vec<bool>,
+    /// Fault of each channel that is found without the common motion.
+    faults: Vec<Option<Fault>>,
+    /// Comparison by each memory. `None` without enough motion.
+    compared: Vec<Option<Comparison>>,
 }
 
 #[derive(Debug, Clone)]
@@ -199,96 +213,11 @@ impl SensorCheck {
     /// therefore uses the one that follows the other channels better. The first series counts alone
     /// if the structure has no screening.
     pub fn take_screened(&mut self, measured: &[f64], without_spikes: &[f64]) -> Vec<Change> {
-        let mut changes = Vec::new();
-        for (group, state) in self.groups.iter().zip(&mut self.state.groups) {
-            let of_channels = |values: &'_ [f64]| -> Vec<f64> {
-                let values = group.channels.iter().map(|channel| values[*channel]);
-                values.collect()
-            };
-            let measured = of_channels(measured);
-            let without_spikes = of_channels(without_spikes);
-            let of_group = || without_spikes.iter().copied();
-            let weight = group.spectrum.weight_in_quarter(&state.windows);
-            state.offsets.take(of_group(), weight);
-            state.powers.take(&group.filters, of_group());
-            for (extremes, value) in state.extremes.iter_mut().zip(of_group()) {
-                extremes.take(value);
-            }
-            let both = measured.iter().copied().chain(of_group());
-            let series = both.take(group.series());
-            let Some(mut window) = group.spectrum.take(&mut state.windows, series) else {
-                continue;
-            };
-            if group.is_screened {
-                window = window.most_coherent();
-            }
-            group.find(state, &window);
-            // Noise would take the place of an earlier motion, and noise of sound sensors differs.
-            let longest = state.memories.last();
-            let shows_motion = longest
-                .is_some_and(|memory| group.shows_motion(&window, memory, &mut state.quietest));
-            if shows_motion {
-                for memory in &mut state.memories {
-                    memory.add(&window);
-                }
-            }
-            let compared = state
-                .memories
-                .iter()
-                .map(|memory| {
-                    let has_news = shows_motion && memory.added() >= FIRST;
-                    let compared = || group.compare(memory);
-                    has_news.then(compared).flatten()
-                })
-                .collect::<Vec<_>>();
-            if let (Some(None), Some(short)) = (compared.first(), state.memories.first()) {
-                state.is_incoherent =
-                    shows_motion && short.added() >= FIRST && group.is_loud(short);
-            } else {
-                state.is_incoherent = false;
-            }
-            if let Some(Some(long)) = compared.last() {
-                for (relation, channel) in long.relations.iter().zip(&group.channels) {
-                    if let Some(relation) = relation {
-                        self.state.sums[*channel].add(relation);
-                    }
-                }
-            }
-            // Wind and traffic move a structure without the ground, and the channels differently.
-            let is_without_ground = compared.iter().flatten().any(Comparison::is_without_first);
-            let judged = if is_without_ground {
-                1
-            } else {
-                group.channels.len()
-            };
-            for (member, channel) in group.channels.iter().enumerate() {
-                let Some(health) = &mut self.state.health[*channel] else {
-                    continue;
-                };
-                let before = health.soundness;
-                let found = state.findings[member].fault();
-                let is_present = window.of_channels[member].is_some();
-                if settle(health, found, is_present) {
-                    self.state.support[*channel] = 0;
-                    changes.extend(Change::between(*channel, before, health.soundness));
-                    continue;
-                }
-                if member >= judged {
-                    continue;
-                }
-                // If probabilities are equal, the short memory describes the present fault better.
-                let worst = compared
-                    .iter()
-                    .flatten()
-                    .rev()
-                    .max_by(|a, b| a.probabilities[member].total_cmp(&b.probabilities[member]));
-                let Some(found) = worst else { continue };
-                let support = &mut self.state.support[*channel];
-                group.judge(found, member, health, support);
-                changes.extend(Change::between(*channel, before, health.soundness));
-            }
-        }
-        changes
+        let groups = self.groups.iter().zip(&mut self.state.groups);
+        let shown: Vec<Shown> = groups
+            .filter_map(|(group, state)| group.take(state, measured, without_spikes))
+            .collect();
+        self.state.judge(&shown)
     }
 
     /// Returns the length of data (s) that the first comparison of a channel requires, if the data
@@ -455,12 +384,81 @@ impl SensorCheck {
     }
 }
 
+impl Shown<'_> {
+    /// Returns the channel of the ground.
+    fn ground(&self) -> usize {
+        self.group.channels[0]
+    }
+
+    /// Returns `true` if the channels move differently, and the structure without the ground. Wind
+    /// and traffic do this.
+    fn is_without_ground(&self) -> bool {
+        let mut compared = self.compared.iter().flatten();
+        compared.any(Comparison::is_without_first)
+    }
+}
+
+impl SensorCheckState {
+    /// Judges the channels of the groups that have completed a window. Returns the changes.
+    fn judge(&mut self, shown: &[Shown]) -> Vec<Change> {
+        let mut changes = Vec::new();
+        for (number, own) in shown.iter().enumerate() {
+            if let Some(Some(long)) = own.compared.last() {
+                for (relation, channel) in long.relations.iter().zip(&own.group.channels) {
+                    if let Some(relation) = relation {
+                        self.sums[*channel].add(relation);
+                    }
+                }
+            }
+            // The ground belongs to all groups of a motion. The first one judges it with the results
+            // of all of them. Otherwise, their judgements would alternate.
+            let has_ground = |other: &&Shown| other.ground() == own.ground();
+            let (earlier, present) = shown.split_at(number);
+            if !earlier.iter().any(|other| has_ground(&other)) {
+                let all: Vec<&Shown> = present.iter().filter(has_ground).collect();
+                changes.extend(self.judge_member(0, &all));
+            }
+            for member in 1..own.group.channels.len() {
+                changes.extend(self.judge_member(member, &[own]));
+            }
+        }
+        changes
+    }
+
+    /// Judges a channel by what the groups with this channel show. It is the same member of each.
+    fn judge_member(&mut self, member: usize, shown: &[&Shown]) -> Option<Change> {
+        let channel = *shown.first()?.group.channels.get(member)?;
+        let health = self.health[channel].as_mut()?;
+        let support = &mut self.support[channel];
+        let before = health.soundness;
+        let found = shown.iter().find_map(|one| one.faults[member]);
+        let is_present = shown.iter().any(|one| one.is_present[member]);
+        if settle(health, found, is_present) {
+            *support = 0;
+            return Change::between(channel, before, health);
+        }
+        if member > 0 && shown.iter().any(|one| one.is_without_ground()) {
+            return None;
+        }
+        let compared = shown.iter().flat_map(|one| {
+            // If probabilities are equal, the short memory describes the present fault better.
+            let of_group = one.compared.iter().flatten().rev();
+            of_group.map(|compared| (one.group, compared))
+        });
+        let (group, worst) = compared
+            .max_by(|(_, a), (_, b)| a.probabilities[member].total_cmp(&b.probabilities[member]))?;
+        group.judge(worst, member, health, support);
+        Change::between(channel, before, health)
+    }
+}
+
 impl Change {
-    fn between(channel: usize, before: Soundness, now: Soundness) -> Option<Self> {
-        (now != before).then_some(Self {
+    fn between(channel: usize, before: Soundness, health: &ChannelHealth) -> Option<Self> {
+        (health.soundness != before).then_some(Self {
             channel,
             before,
-            now,
+            now: health.soundness,
+            fault: health.fault,
         })
     }
 }
@@ -553,6 +551,64 @@ impl Group {
             }
         };
         parts.map(group).collect()
+    }
+
+    /// Takes the values of a frame. Returns what a window shows that is now complete.
+    fn take(
+        &self,
+        state: &mut GroupState,
+        measured: &[f64],
+        without_spikes: &[f64],
+    ) -> Option<Shown<'_>> {
+        let of_channels = |values: &'_ [f64]| -> Vec<f64> {
+            let values = self.channels.iter().map(|channel| values[*channel]);
+            values.collect()
+        };
+        let measured = of_channels(measured);
+        let without_spikes = of_channels(without_spikes);
+        let of_group = || without_spikes.iter().copied();
+        let weight = self.spectrum.weight_in_quarter(&state.windows);
+        state.offsets.take(of_group(), weight);
+        state.powers.take(&self.filters, of_group());
+        for (extremes, value) in state.extremes.iter_mut().zip(of_group()) {
+            extremes.take(value);
+        }
+        let both = measured.iter().copied().chain(of_group());
+        let series = both.take(self.series());
+        let mut window = self.spectrum.take(&mut state.windows, series)?;
+        if self.is_screened {
+            window = window.most_coherent();
+        }
+        self.find(state, &window);
+        // Noise would take the place of an earlier motion, and noise of sound sensors differs.
+        let longest = state.memories.last();
+        let shows_motion =
+            longest.is_some_and(|memory| self.shows_motion(&window, memory, &mut state.quietest));
+        if shows_motion {
+            for memory in &mut state.memories {
+                memory.add(&window);
+            }
+        }
+        let compared: Vec<Option<Comparison>> = state
+            .memories
+            .iter()
+            .map(|memory| {
+                let has_news = shows_motion && memory.added() >= FIRST;
+                let compared = || self.compare(memory);
+                has_news.then(compared).flatten()
+            })
+            .collect();
+        if let (Some(None), Some(short)) = (compared.first(), state.memories.first()) {
+            state.is_incoherent = shows_motion && short.added() >= FIRST && self.is_loud(short);
+        } else {
+            state.is_incoherent = false;
+        }
+        Some(Shown {
+            group: self,
+            is_present: window.of_channels.iter().map(Option::is_some).collect(),
+            faults: state.findings.iter().map(Findings::fault).collect(),
+            compared,
+        })
     }
 
     /// Returns the number of series in a window.

@@ -575,3 +575,76 @@ fn motion_below_the_stated_noise_does_not_overrule_an_earlier_one() {
         assert_eq!(suspected(&changes), expected, "{size}: {changes:?}");
     }
 }
+
+/// Returns the structure with 24 sensors on its floors. The ground belongs to a group with 23 of them,
+/// and to a group with the last one.
+fn in_two_groups() -> SensorCheck {
+    let sensors = (0..21).map(|number| {
+        format!(
+            "[[node]]\nname = \"more-{number}\"\n[[node.channel]]\nname = \"more-{number}\"\n\
+             quantity = \"absolute-acceleration\"\ndof = \"floor-{}\"\nunit = \"m/s2\"\n\
+             noise-std = 0.3\n\n",
+            1 + number % 3
+        )
+    });
+    let with_sensors = sensors.collect::<String>() + "[filter]";
+    let check = SensorCheck::new(&table(&[("[filter]", &with_sensors)]));
+    let sizes: Vec<usize> = { check.groups.iter() }
+        .map(|group| group.channels.len())
+        .collect();
+    assert_eq!(sizes, [24, 2]);
+    check
+}
+
+/// Checks frames of the stiff frame, in which each floor has eight sensors. Returns the changes with
+/// their times (s).
+fn checked_in_two_groups(frames: &[Vec<f64>]) -> Vec<(f64, Change)> {
+    let mut check = in_two_groups();
+    let mut changes = Vec::new();
+    for (number, values) in frames.iter().enumerate() {
+        let more = (0..21).map(|sensor| values[1 + sensor % 3]);
+        let all: Vec<f64> = values.iter().copied().chain(more).collect();
+        let found = check.take(&all).into_iter();
+        changes.extend(found.map(|change| (number as f64 / 120.0, change)));
+    }
+    changes
+}
+
+/// Regression: the group of 24 channels found the drift, and the group of 2 channels, which cannot find
+/// one, made the ground sound again in the same frame.
+#[test]
+fn ground_of_two_groups_stays_faulty_while_it_drifts() {
+    let mut drifting = frames(&table(&[]));
+    for (number, values) in drifting.iter_mut().enumerate().skip(20 * 120) {
+        values[0] += 0.02 * (number - 20 * 120) as f64 / 120.0;
+    }
+    let changes = checked_in_two_groups(&drifting);
+    let of_ground: Vec<&Change> = { changes.iter() }
+        .filter(|(time_s, change)| change.channel == 0 && *time_s > 20.0)
+        .map(|(_, change)| change)
+        .collect();
+    let drifts = |change: &Change| {
+        change.now == Soundness::Faulty && matches!(change.fault, Some(Fault::Drift(_)))
+    };
+    assert!(
+        of_ground.len() == 1 && drifts(of_ground[0]),
+        "{of_ground:?}"
+    );
+}
+
+/// Regression: each group counted its comparison of the ground, so that one window made it faulty.
+#[test]
+fn ground_of_two_groups_is_faulty_after_two_windows() {
+    let mut changed = frames(&table(&[("noise-std = 0.3", "noise-std = 0.03")]));
+    changed.iter_mut().for_each(|values| values[0] *= -1.0);
+    let changes = checked_in_two_groups(&changed);
+    let (first_s, _) = changes[0];
+    let mut of_ground = { changes.iter() }.filter(|(_, change)| change.channel == 0);
+    let faulty = of_ground.find(|(_, change)| change.now == Soundness::Faulty);
+    let (faulty_s, _) = faulty.unwrap_or_else(|| panic!("{changes:?}"));
+    let quarter_s = in_two_groups().window_s() / OVERLAP as f64;
+    assert!(
+        *faulty_s > first_s + 0.9 * quarter_s,
+        "{faulty_s}: {changes:?}"
+    );
+}

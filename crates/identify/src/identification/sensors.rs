@@ -132,7 +132,6 @@ impl Identification {
     }
 
     fn tell_sensor(&self, time_ns: i64, change: Change) -> Option<Output> {
-        let health = self.check.health()[change.channel]?;
         let is_response = self.observation_channels.contains(&change.channel);
         // A stuck or silent excitation has been reported.
         let inputs = self.excitation_channels.iter().zip(&self.hearing);
@@ -142,12 +141,12 @@ impl Identification {
         if { inputs }.any(is_told) {
             return None;
         }
-        let words = || health.fault.map(|fault| fault.words()).unwrap_or_default();
+        let words = || change.fault.map(|fault| fault.words()).unwrap_or_default();
         let (kind, what, why) = match (change.before, change.now) {
             (_, Soundness::Faulty) if is_response => (
                 EventKind::ChannelExcluded,
                 format!("the sensor {}: its samples are not used", words()),
-                reason(health.fault),
+                reason(change.fault),
             ),
             (_, Soundness::Faulty) => (
                 EventKind::ChannelExcluded,
