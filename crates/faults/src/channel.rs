@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Size from which an acceleration is printed in m/s² (m/s²).
+const LARGE: f64 = 0.1;
+
 /// A kind of fault, with its size.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Fault {
@@ -70,12 +73,40 @@ impl Fault {
             Self::Delay(delay_s) => format!("is {:.0} ms later than the others", 1e3 * delay_s),
             Self::Dead => "does not follow the motion of the others".to_owned(),
             Self::Disturbed => "measures something that the others do not".to_owned(),
-            Self::Drift(offset) => format!(
-                "has an offset of {:.1} mm/s2 relative to the other sensors",
-                1e3 * offset
-            ),
-            Self::Clipped(value) => format!("is cut off at {value:.2} m/s2"),
+            Self::Drift(offset) => {
+                let offset = acceleration(offset);
+                format!("has an offset of {offset} relative to the other sensors")
+            }
+            Self::Clipped(value) => format!("is cut off at {}", acceleration(value)),
             Self::Exchanged => "is exchanged with another one".to_owned(),
         }
+    }
+}
+
+/// Returns an acceleration (m/s²) with its unit. A small one has more digits in mm/s².
+fn acceleration(value: f64) -> String {
+    if value.abs() < LARGE {
+        format!("{:.1} mm/s2", 1e3 * value)
+    } else {
+        format!("{value:.2} m/s2")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_drifts_and_ranges_are_not_rounded_to_zero() {
+        assert_eq!(
+            Fault::Drift(0.004).words(),
+            "has an offset of 4.0 mm/s2 relative to the other sensors"
+        );
+        assert_eq!(
+            Fault::Drift(-0.25).words(),
+            "has an offset of -0.25 m/s2 relative to the other sensors"
+        );
+        assert_eq!(Fault::Clipped(-0.0496).words(), "is cut off at -49.6 mm/s2");
+        assert_eq!(Fault::Clipped(19.62).words(), "is cut off at 19.62 m/s2");
     }
 }
