@@ -8,11 +8,11 @@ use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
 use spandrel_checkpoint::{Failures, fingerprint, sync_name};
 use spandrel_judge::Epoch;
-use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader};
+use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordReader, write_whole};
 use spandrel_structure::JudgePlan;
 use std::fmt::Write as _;
 use std::fs::{DirBuilder, File, OpenOptions};
-use std::io::{Cursor, ErrorKind, Write as _};
+use std::io::{Cursor, ErrorKind, Read as _, Seek as _, SeekFrom, Write as _};
 use std::os::unix::fs::DirBuilderExt as _;
 use std::path::{Path, PathBuf};
 use tracing::{info, warn};
@@ -63,48 +63,22 @@ impl EpochLog {
         judge: impl FnMut(ClosedEpoch),
     ) -> Result<Self, JudgingError> {
         let path = folder.join(FILE);
-        let failed = |what, source| JudgingError::File {
-            what,
-            path: path.clone(),
-            source,
-        };
         let mut builder = DirBuilder::new();
         let created = builder.recursive(true).mode(FOLDER_MODE).create(folder);
-        created.map_err(|error| failed("write", error))?;
+        created.map_err(|source| JudgingError::File {
+            what: "write",
+            path: path.clone(),
+            source,
+        })?;
         let header = header(plan);
-        let text = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
-            Err(error) => return Err(failed("read", error)),
-        };
-        let found = Sound::find(&text, &header);
-        let sound = text.get(..found.length).unwrap_or_default();
-        if !text.is_empty() && found.end == End::Damaged {
-            let aside = set_aside(&path).map_err(|error| failed("set aside", error))?;
-            warn!(
-                file = %path.display(), aside = %aside.display(), epochs = found.lines,
-                "the file of the epochs has other columns or a damaged line; only the epochs before it are used"
-            );
-        }
-        let is_whole = found.end == End::Whole && !text.is_empty();
-        if !is_whole {
-            let begin = match sound.is_empty() {
-                true => header.as_bytes(),
-                false => sound,
-            };
-            write_whole(&path, begin).map_err(|error| failed("write", error))?;
-        }
+        let (text, found) = begin(&path, &header)?;
         if found.lines > 0 {
-            replay(&path, sound, plan, judge)?;
+            replay(&path, &text, plan, judge)?;
             info!(file = %path.display(), epochs = found.lines, "resumed from the epochs");
         }
-        let length = match sound.is_empty() {
-            true => header.len(),
-            false => sound.len(),
-        };
         Ok(Self {
             check: found.check,
-            length: length as u64,
+            length: found.length as u64,
             path,
             header,
             waiting: Vec::new(),
@@ -131,16 +105,15 @@ impl EpochLog {
             return;
         }
         match self.write() {
-            Ok(end) => {
-                (self.length, self.check) = (end.length, end.check);
-                self.waiting.clear();
+            Ok(()) => {
                 if let Some(failures) = self.failures.succeeded() {
                     info!(failures, "epochs are saved again");
                 }
             }
             Err(error) if self.failures.failed() => {
                 let failures = self.failures.consecutive();
-                warn!(file = %self.path.display(), %error, failures, "cannot save epochs; a restart would lose them");
+                let cause = std::error::Error::source(&error).map(ToString::to_string);
+                warn!(%error, cause, failures, "cannot save epochs; a restart would lose them");
             }
             Err(_) => {}
         }
@@ -174,50 +147,109 @@ impl EpochLog {
         self.failures.drops().into_iter().chain(lost)
     }
 
-    fn write(&self) -> std::io::Result<Written> {
-        let mut file = OpenOptions::new()
-            .append(true)
-            .create(true)
-            .open(&self.path)?;
-        let mut end = Written {
-            length: self.length,
-            check: self.check.clone(),
+    fn write(&mut self) -> Result<(), JudgingError> {
+        let path = self.path.clone();
+        let failed = |source| JudgingError::File {
+            what: "write",
+            path: path.clone(),
+            source,
         };
-        let mut text = String::new();
-        match file.metadata()?.len() {
-            // The file is new, because its folder was lost.
-            0 => {
-                text.push_str(&self.header);
-                end = Written {
-                    length: 0,
-                    check: check(&self.header, ""),
-                };
-            }
-            // An earlier attempt has written a part of a line.
-            found if found > self.length => file.set_len(self.length)?,
-            _ => {}
+        if !self.is_own_file().map_err(failed)? {
+            let (_, found) = begin(&path, &self.header)?;
+            (self.length, self.check) = (found.length as u64, found.check);
+            warn!(
+                file = %path.display(), epochs = found.lines,
+                "the file of the epochs was replaced; a restart knows only the epochs in it"
+            );
         }
+        let (text, check) = self.text();
+        self.append_text(&text).map_err(failed)?;
+        (self.length, self.check) = (self.length + text.len() as u64, check);
+        self.waiting.clear();
+        Ok(())
+    }
+
+    /// Returns the waiting lines with their check values, and the last check value.
+    fn text(&self) -> (String, String) {
+        let (mut text, mut end) = (String::new(), self.check.clone());
         for line in &self.waiting {
-            end.check = check(line, &end.check);
+            end = check(line, &end);
             text.push_str(line);
-            text.push_str(&end.check);
+            text.push_str(&end);
             text.push('\n');
         }
+        (text, end)
+    }
+
+    /// Returns `true` if the file ends with the last line of this process. After it, the file may
+    /// contain a part of the waiting lines, from an earlier attempt.
+    ///
+    /// While a disk is unmounted, its folder contains another file. Neither file may be cut to the
+    /// length of the other one.
+    fn is_own_file(&self) -> std::io::Result<bool> {
+        let mut file = match File::open(&self.path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(error),
+        };
+        let last = match self.length == self.header.len() as u64 {
+            true => self.header.clone(),
+            false => format!("{}\n", self.check),
+        };
+        let (text, _) = self.text();
+        file.seek(SeekFrom::Start(self.length - last.len() as u64))?;
+        let mut found = Vec::new();
+        let most = (last.len() + text.len()) as u64 + 1;
+        file.take(most).read_to_end(&mut found)?;
+        let after = found.strip_prefix(last.as_bytes());
+        Ok(after.is_some_and(|after| text.as_bytes().starts_with(after)))
+    }
+
+    /// Replaces what follows the last complete line with a text.
+    fn append_text(&self, text: &str) -> std::io::Result<()> {
+        let mut file = OpenOptions::new().append(true).open(&self.path)?;
+        file.set_len(self.length)?;
         file.write_all(text.as_bytes())?;
-        file.sync_data()?;
-        if text.starts_with(&self.header) {
-            sync_name(&self.path);
-        }
-        end.length += text.len() as u64;
-        Ok(end)
+        file.sync_data()
     }
 }
 
-/// End of a file that was written.
-#[derive(Debug)]
-struct Written {
-    length: u64,
-    check: String,
+/// Reads the file of the epochs, or creates it. Returns its sound part, and what is known of it.
+///
+/// An incomplete last line is removed. A damaged file is set aside, and the epochs before the damage
+/// are copied.
+fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
+    let failed = |what| {
+        move |source| JudgingError::File {
+            what,
+            path: path.to_owned(),
+            source,
+        }
+    };
+    let mut text = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
+        Err(error) => return Err(failed("read")(error)),
+    };
+    let mut found = Sound::find(&text, header);
+    if !text.is_empty() && found.end == End::Damaged {
+        let aside = set_aside(path).map_err(failed("set aside"))?;
+        warn!(
+            file = %path.display(), aside = %aside.display(), epochs = found.lines,
+            "the file of the epochs has other columns or a damaged line; only the epochs before it are used"
+        );
+    }
+    let is_whole = found.end == End::Whole && !text.is_empty();
+    text.truncate(found.length);
+    if text.is_empty() {
+        text.extend_from_slice(header.as_bytes());
+        found.length = text.len();
+    }
+    if !is_whole {
+        write_whole(path, &text).map_err(failed("write"))?;
+        sync_name(path);
+    }
+    Ok((text, found))
 }
 
 /// How a file ends.
@@ -384,17 +416,6 @@ fn set_aside(path: &Path) -> std::io::Result<PathBuf> {
         .ok_or_else(|| std::io::Error::from(ErrorKind::AlreadyExists))?;
     std::fs::rename(path, &free)?;
     Ok(free)
-}
-
-/// Writes a file that is either complete or absent.
-fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let temporary = path.with_extension("csv.new");
-    let mut file = File::create(&temporary)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    std::fs::rename(&temporary, path)?;
-    sync_name(path);
-    Ok(())
 }
 
 #[cfg(test)]

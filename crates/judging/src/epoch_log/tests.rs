@@ -119,3 +119,58 @@ fn epochs_wait_while_the_folder_is_gone() {
     let (_, found) = open(folder.path(), &plan());
     assert_eq!(found, (0..5).map(kept).collect::<Vec<_>>());
 }
+
+/// Regression: the file of a disk that is mounted again was cut to the length of the file that had
+/// taken its place.
+#[test]
+fn the_file_that_returns_keeps_its_epochs() {
+    let folder = written(0..5);
+    let (mut log, _) = open(folder.path(), &plan());
+    let away = folder.path().with_extension("away");
+    std::fs::rename(folder.path(), &away).unwrap();
+    std::fs::create_dir(folder.path()).unwrap();
+    log.append(&closed(5));
+    let meanwhile = open(folder.path(), &plan()).1;
+    assert_eq!(meanwhile, [kept(5)]);
+    std::fs::remove_dir_all(folder.path()).unwrap();
+    std::fs::rename(&away, folder.path()).unwrap();
+    log.append(&closed(6));
+    log.append(&closed(7));
+    let (_, found) = open(folder.path(), &plan());
+    let expected = (0..8).filter(|number| *number != 5).map(kept);
+    assert_eq!(found, expected.collect::<Vec<_>>());
+    assert_eq!(names(folder.path()), [FILE]);
+}
+
+/// Regression: a line after a shortened file broke the chain of the check values, and the next start
+/// set the file aside.
+#[test]
+fn a_shortened_file_continues_after_its_last_complete_line() {
+    let folder = written(0..5);
+    let (mut log, _) = open(folder.path(), &plan());
+    let path = folder.path().join(FILE);
+    let text = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &text[..text.len() - 3]).unwrap();
+    log.append(&closed(5));
+    let (_, found) = open(folder.path(), &plan());
+    let expected = [0, 1, 2, 3, 5].map(kept);
+    assert_eq!(found, expected);
+    assert_eq!(names(folder.path()), [FILE]);
+}
+
+#[test]
+fn a_part_of_a_line_of_an_earlier_attempt_is_replaced() {
+    let folder = written(0..2);
+    let (mut log, _) = open(folder.path(), &plan());
+    let path = folder.path().join(FILE);
+    let before = std::fs::read(&path).unwrap();
+    log.append(&closed(2));
+    let after = std::fs::read(&path).unwrap();
+    let (mut log, _) = {
+        std::fs::write(&path, &before).unwrap();
+        open(folder.path(), &plan())
+    };
+    std::fs::write(&path, &after[..after.len() - 5]).unwrap();
+    log.append(&closed(2));
+    assert_eq!(std::fs::read(&path).unwrap(), after);
+}
