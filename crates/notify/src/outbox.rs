@@ -8,6 +8,7 @@ use crate::quiet::Quiet;
 use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{AlertMessage, Maintenance, Name};
+use spandrel_checkpoint::Failures;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
@@ -163,6 +164,8 @@ impl Outbox {
             standing: BTreeMap::new(),
             held: Vec::new(),
             escalated: BTreeSet::new(),
+            failures: Failures::default(),
+            lost: 0,
         };
         Self {
             boxes: wishes.into_iter().map(empty).collect(),
@@ -509,29 +512,42 @@ impl Outbox {
         due
     }
 
-    /// Records the result of an attempt.
-    pub(crate) fn done(&mut self, receiver: usize, is_sent: bool, now: Duration) {
+    /// Records the result of an attempt. Returns `true` if a failure must be logged: the first
+    /// failure of the receiver in a row, and then each one that doubles the length of the row.
+    pub(crate) fn done(&mut self, receiver: usize, is_sent: bool, now: Duration) -> bool {
         let Some(place) = self.boxes.get_mut(receiver) else {
-            return;
+            return false;
         };
         place.is_sending = false;
+        let mut is_logged = false;
         if is_sent {
             self.sent += 1;
+            let _ = place.failures.succeeded(); // each success is logged
         } else {
             self.failures += 1;
+            is_logged = place.failures.failed();
             let Some(first) = place.waiting.front_mut() else {
-                return;
+                return is_logged;
             };
             if now.saturating_sub(first.since) <= GIVE_UP_AFTER {
                 first.due = now + first.retry_after;
                 first.retry_after = (2 * first.retry_after).min(RETRY_AFTER.1);
-                return;
+                return is_logged;
             }
             self.given_up += 1;
+            place.lost += 1;
         }
         let done = place.waiting.pop_front().filter(|done| !done.is_repeated);
         self.changed
             .extend(done.map(|done| done.content.structure().clone()));
+        is_logged
+    }
+
+    /// Returns the number of notices that each receiver has lost since the last call, without the
+    /// receivers that have lost none.
+    pub(crate) fn take_lost(&mut self) -> Vec<(usize, u64)> {
+        let lost = { self.boxes.iter_mut() }.map(|place| std::mem::take(&mut place.lost));
+        lost.enumerate().filter(|(_, lost)| *lost > 0).collect()
     }
 
     /// Returns the number of notices in all queues, with those that are held back.

@@ -23,7 +23,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::{JoinError, JoinSet};
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 
 /// The alerts, the monitoring and the clocks, and what shows whether the samples are measured. An
 /// event precedes the status with its consequences. A new alert service reports changes that were
@@ -308,6 +308,7 @@ impl NotifyService {
                 Some(ended) = sending.join_next() => self.ended(ended),
             }
             self.take().await?;
+            self.log_lost();
             // The checkpoint precedes the first attempt, so that a retry after a crash has the same
             // key.
             self.keep();
@@ -330,19 +331,32 @@ impl NotifyService {
         let Ok((receiver, result)) = ended else {
             return;
         };
-        let shown = self
-            .receivers
-            .get(receiver)
-            .map(|receiver| receiver.shown())
-            .unwrap_or_default();
+        let is_logged = self.outbox.done(receiver, result.is_ok(), self.clock.now());
+        let receiver = self.shown(receiver);
         match &result {
-            Ok(()) => info!(receiver = shown, "notice sent"),
-            Err(reason) if (self.outbox.failures + 1).is_power_of_two() => {
-                warn!(receiver = shown, reason, "notice not sent; retrying");
-            }
+            Ok(()) => info!(receiver, "notice sent"),
+            Err(reason) if is_logged => warn!(receiver, reason, "notice not sent; retrying"),
             Err(_) => {}
         }
-        self.outbox.done(receiver, result.is_ok(), self.clock.now());
+    }
+
+    /// Logs the notices that no receiver gets any more.
+    fn log_lost(&mut self) {
+        for (receiver, notices) in self.outbox.take_lost() {
+            let receiver = self.shown(receiver);
+            error!(
+                receiver,
+                notices, "notices lost: not delivered within a day, or too many waited"
+            );
+        }
+    }
+
+    /// Returns the address of a receiver for the log, without secrets.
+    fn shown(&self, receiver: usize) -> String {
+        let receiver = self.receivers.get(receiver);
+        receiver
+            .map(|receiver| receiver.shown())
+            .unwrap_or_default()
     }
 
     fn moment(&self) -> Moment {

@@ -4,6 +4,7 @@ use super::{MOST_WAITING, Moment, RETRY_AFTER, Wish};
 use crate::content::{Content, Report, Subject, Summary};
 use crate::muting::Muting;
 use spandrel_bus::Name;
+use spandrel_checkpoint::Failures;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
@@ -54,6 +55,10 @@ pub(super) struct Receiver {
     pub(super) held: Vec<Held>,
     /// Subjects whose open state was sent. Only they have an end for a receiver with a delay.
     pub(super) escalated: BTreeSet<Subject>,
+    /// Failed attempts in a row.
+    pub(super) failures: Failures,
+    /// Notices that were given up and are not reported yet.
+    pub(super) lost: u64,
 }
 
 impl Receiver {
@@ -194,6 +199,7 @@ impl Receiver {
             changed.insert(self.held.remove(0).content.structure().clone());
             dropped += 1;
         }
+        self.lost += dropped;
         dropped
     }
 }

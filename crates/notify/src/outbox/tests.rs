@@ -95,10 +95,29 @@ fn failed_notices_are_retried_in_order_at_growing_intervals() {
     // A receiver that never recovers is given up after a day.
     for second in (5_000..200_000).step_by(100) {
         let due = outbox.due(s(second));
-        due.iter()
-            .for_each(|notice| outbox.done(notice.receiver, false, s(second)));
+        for notice in due {
+            outbox.done(notice.receiver, false, s(second));
+        }
     }
     assert_eq!((outbox.given_up, outbox.waiting()), (1, 0));
+    assert_eq!(outbox.take_lost(), [(0, 1)]);
+    assert_eq!(outbox.take_lost(), []);
+}
+
+/// Regression: the failures of all receivers since the start had one counter, so that the first
+/// failures of a second receiver were not logged.
+#[test]
+fn first_failure_in_a_row_of_each_receiver_is_logged() {
+    let mut outbox = outbox(false);
+    take(&mut outbox, &alert(20, AlertState::Raised), s(0));
+    take(&mut outbox, &alert(30, AlertState::Acknowledged), s(0));
+    let fail = |outbox: &mut Outbox, receiver| outbox.done(receiver, false, s(0));
+    let hook: Vec<bool> = (0..5).map(|_| fail(&mut outbox, 0)).collect();
+    assert_eq!(hook, [true, true, false, true, false]);
+    assert!(fail(&mut outbox, 1), "the first failure of the second");
+    assert!(!outbox.done(0, true, s(1)));
+    take(&mut outbox, &alert(40, AlertState::Cleared), s(2));
+    assert!(fail(&mut outbox, 0), "the first failure after a success");
 }
 
 #[test]
@@ -207,10 +226,9 @@ fn unconfirmed_alert_is_repeated_and_a_revision_does_not_delay_it() {
         (70, AlertState::Unconfirmed),
     ] {
         take(&mut outbox, &alert(second, state), s(second as u64));
-        outbox
-            .due(s(second as u64))
-            .iter()
-            .for_each(|notice| outbox.done(notice.receiver, true, s(second as u64)));
+        for notice in outbox.due(s(second as u64)) {
+            outbox.done(notice.receiver, true, s(second as u64));
+        }
     }
     assert_eq!(outbox.due(s(79)), []);
     assert_eq!(of(&outbox.due(s(80))[0]).state, AlertState::Unconfirmed);
@@ -230,6 +248,7 @@ fn number_of_waiting_notices_is_bounded() {
         );
     }
     assert_eq!((outbox.waiting(), outbox.given_up), (MOST_WAITING, 4_000));
+    assert_eq!(outbox.take_lost(), [(0, 4_000)]);
 }
 
 #[test]
