@@ -76,6 +76,11 @@ pub enum AlignmentInput {
         /// Index of the node.
         node: usize,
     },
+    /// The recording contains frames of this epoch. Later frames need a higher one.
+    Recorded {
+        /// The epoch.
+        epoch: u64,
+    },
     /// The deadline of all frames up to this time has passed. These frames stop waiting for missing
     /// nodes.
     Deadline {
@@ -286,6 +291,12 @@ impl Alignment {
                     queue.presence = Presence::Expected;
                 }
             }
+            AlignmentInput::Recorded { epoch } if epoch > self.epoch => {
+                self.flush(StreamState::Ended, blocks);
+                self.next_run();
+                self.epoch = epoch + 1;
+            }
+            AlignmentInput::Recorded { .. } => {}
             AlignmentInput::Deadline { time_ns } => {
                 self.deadlines += 1;
                 // It goes back if clocks were ahead, which must not close the frames of the future.

@@ -12,7 +12,7 @@ use spandrel_record::{
 };
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
-use tracing::{debug, info, warn};
+use tracing::{error, info, warn};
 
 use crate::align::NodePlace;
 use crate::disk::DiskThread;
@@ -71,6 +71,11 @@ pub(crate) struct Recorder {
     /// `None` while the folder is lost or cannot be written.
     log: Option<FrameLog>,
     reader: SharedReader,
+    /// Whether the folder is back, but no frame has been written to it.
+    is_back: bool,
+    /// The last epoch in the recording when it was opened again, 0 before. Frames of lower epochs
+    /// cannot be appended.
+    recorded_epoch: u64,
     /// Changes that are not yet reported.
     changes: Vec<FolderChange>,
     checked: Instant,
@@ -79,6 +84,8 @@ pub(crate) struct Recorder {
     /// no mark.
     is_noted_complete: Option<bool>,
     refused_at: Option<Instant>,
+    /// The cause of the last failure, as logged.
+    failure: String,
     sync_every: Duration,
     synced: Instant,
     syncing: Option<JoinHandle<Result<(), RecordError>>>,
@@ -104,9 +111,11 @@ impl Recorder {
                 .collect(),
             sampling_rate_hz: layout.sampling_rate_hz(),
         };
+        let mut failure = String::new();
         let opened = match FrameLog::open(&settings.folder, of.clone(), settings.log) {
             Ok(opened) => Some(opened),
             Err(error) if may_be_opened_later(&error) => {
+                failure = with_cause(&error);
                 warn!(structure, %error, "the recording cannot be opened; frames stay in memory and \
                     monitoring continues");
                 None
@@ -138,6 +147,9 @@ impl Recorder {
                 vec![FolderChange::Lost]
             },
             refused_at: log.is_none().then(Instant::now),
+            failure,
+            is_back: false,
+            recorded_epoch: 0,
             log,
             checked: Instant::now(),
             waiting: UnrecordedFrames::default(),
@@ -184,6 +196,7 @@ impl Recorder {
             let nodes = if number == last { places } else { &[] };
             self.waiting.push(to_logged(block, nodes));
         }
+        self.waiting.drop_before(self.recorded_epoch);
         if self
             .refused_at
             .is_none_or(|refused| refused.elapsed() >= RETRY)
@@ -191,6 +204,12 @@ impl Recorder {
             self.write_waiting();
         }
         self.waiting.drop_excess();
+    }
+
+    /// Returns the last epoch in the recording when it was opened again, 0 before. If it is later
+    /// than the present epoch, a new run must begin after it.
+    pub(crate) fn recorded_epoch(&self) -> u64 {
+        self.recorded_epoch
     }
 
     /// Returns `true` if no frames wait for the disk.
@@ -250,7 +269,9 @@ impl Recorder {
         let (structure, folder) = (self.structure.as_str(), self.settings.folder.display());
         warn!(structure, %folder, "the folder of the recording is gone; frames stay in memory and \
             monitoring continues");
-        self.changes.push(FolderChange::Lost);
+        if !std::mem::take(&mut self.is_back) {
+            self.changes.push(FolderChange::Lost);
+        }
         self.refused_at = Some(Instant::now());
     }
 
@@ -269,8 +290,20 @@ impl Recorder {
         log_repairs(&self.structure, &opened);
         *self.reader.write().unwrap_or_else(PoisonError::into_inner) = Some(log.reader());
         self.is_noted_complete = opened.is_complete;
+        self.recorded_epoch = opened.last.map_or(0, |last| last.epoch);
         self.log = Some(log);
-        self.changes.push(FolderChange::Back);
+        self.is_back = true;
+        let frames = self.waiting.drop_before(self.recorded_epoch);
+        if frames > 0 {
+            let (structure, epoch) = (self.structure.as_str(), self.recorded_epoch);
+            warn!(
+                structure,
+                epoch,
+                frames,
+                "the recording contains a later epoch; a new run begins \
+                after it, and the waiting frames are not recorded"
+            );
+        }
         Ok(())
     }
 
@@ -278,14 +311,16 @@ impl Recorder {
     pub(crate) async fn close(mut self) -> Result<(), IngestError> {
         self.report_sync().await;
         self.write_waiting();
-        match self.log {
-            Some(log) => Ok(log.close()?),
-            None => {
-                let (structure, frames) = (self.structure, self.waiting.frames());
-                warn!(structure, frames, "frames not recorded: the folder is gone");
-                Ok(())
-            }
+        let (structure, frames) = (self.structure, self.waiting.frames());
+        if frames > 0 {
+            error!(
+                structure,
+                frames,
+                error = self.failure,
+                "waiting frames not recorded"
+            );
         }
+        self.log.map_or(Ok(()), |log| Ok(log.close()?))
     }
 
     /// Returns the counters of waiting and lost frames for a status message.
@@ -306,8 +341,14 @@ impl Recorder {
         let opened = self.open_again();
         let structure = self.structure.as_str();
         let Some(log) = &mut self.log else {
-            if let Err(error) = opened {
-                debug!(structure, %error, "the recording cannot be opened again yet");
+            if let Err(error) = opened
+                && is_new(&mut self.failure, &error)
+            {
+                let error = &self.failure;
+                warn!(
+                    structure,
+                    error, "the recording cannot be opened again; retrying"
+                );
             }
             self.refused_at = Some(Instant::now());
             return;
@@ -322,9 +363,14 @@ impl Recorder {
             match log.append(piece) {
                 Ok(()) => self.waiting.written(blocks),
                 Err(error) => {
-                    if self.refused_at.is_none() {
-                        warn!(structure, %error, "recording write failed; retrying, frames stay \
-                            in memory and monitoring continues");
+                    if is_new(&mut self.failure, &error) {
+                        let error = &self.failure;
+                        warn!(
+                            structure,
+                            error,
+                            "recording write failed; retrying, frames stay \
+                            in memory and monitoring continues"
+                        );
                     }
                     self.refused_at = Some(Instant::now());
                     // Save the mark before publishing any of these frames, because their numbers
@@ -342,6 +388,10 @@ impl Recorder {
                 }
             }
         }
+        if before > 0 && std::mem::take(&mut self.is_back) {
+            self.changes.push(FolderChange::Back);
+        }
+        self.failure.clear();
         if self.refused_at.take().is_some() {
             info!(
                 structure,
@@ -364,6 +414,22 @@ impl Recorder {
             warn!(structure = self.structure, %error, "recording not synchronised to disk");
         }
     }
+}
+
+/// Returns an error with its cause.
+fn with_cause(error: &RecordError) -> String {
+    match std::error::Error::source(error) {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
+    }
+}
+
+/// Stores the text of a failure. Returns `true` if it differs from that of the last failure.
+fn is_new(last: &mut String, error: &RecordError) -> bool {
+    let text = with_cause(error);
+    let is_new = *last != text;
+    *last = text;
+    is_new
 }
 
 /// Returns `true` if the cause is a folder that may become writable while the program runs.
@@ -466,4 +532,116 @@ fn to_block(frames: LoggedFrames) -> FrameBlock {
         block.header.time_ns = grid.time_ns(frames.sequence);
     }
     block
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layout::NodeLayout;
+    use spandrel_bus::Name;
+    use std::path::Path;
+
+    fn opened(folder: &Path) -> Recorder {
+        let node = NodeLayout {
+            name: Name::new("node").unwrap(),
+            ranges: vec![1000.0],
+        };
+        let layout = Layout::new(vec![node], 100.0, 0.005).unwrap();
+        let settings = RecordingSettings {
+            folder: folder.to_owned(),
+            log: LogSettings::default(),
+            sync_every: Duration::from_secs(1),
+        };
+        let channels = vec!["roof".to_owned()];
+        Recorder::open("tower", &layout, channels, &settings)
+            .unwrap()
+            .0
+    }
+
+    /// Returns frame `sequence` of an epoch.
+    fn frame(epoch: u64, sequence: u64) -> FrameBlock {
+        let time_ns = 1_700_000_000_000_000_000 + 10_000_000 * sequence as i64;
+        FrameBlock {
+            header: Header {
+                source: "ingest".to_owned(),
+                epoch,
+                sequence,
+                time_ns,
+            },
+            t0_ns: 1_700_000_000_000_000_000,
+            sampling_rate_hz: 100.0,
+            channels: 1,
+            values: vec![0.5],
+            state: StreamState::Running,
+        }
+    }
+
+    /// Writes a frame at a time at which all checks are due.
+    fn write(recorder: &mut Recorder, frame: FrameBlock) -> Vec<FolderChange> {
+        let before = |pause| Instant::now().checked_sub(pause).unwrap();
+        recorder.checked = before(CHECK_EVERY);
+        recorder.refused_at = recorder.refused_at.map(|_| before(RETRY));
+        recorder.write(&[frame], &[]);
+        recorder.take_changes()
+    }
+
+    /// Regression: each append of frames with a lower epoch failed until the next start, although
+    /// the recording counted as back.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn folder_with_a_later_epoch_is_back_once_a_frame_after_it_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (own, later) = (folder.path().join("own"), folder.path().join("later"));
+        let mut recorder = opened(&later);
+        assert_eq!(write(&mut recorder, frame(9, 0)), []);
+        recorder.close().await.unwrap();
+
+        let mut recorder = opened(&own);
+        assert_eq!(write(&mut recorder, frame(5, 0)), []);
+        std::fs::rename(&own, folder.path().join("away")).unwrap();
+        assert_eq!(write(&mut recorder, frame(5, 1)), [FolderChange::Lost]);
+        assert_eq!(write(&mut recorder, frame(5, 2)), []);
+        let failure = recorder.failure.clone();
+        assert!(failure.contains("No such file"), "{failure}");
+        std::fs::rename(&later, &own).unwrap();
+        assert_eq!(write(&mut recorder, frame(5, 3)), []);
+        assert_eq!(recorder.recorded_epoch(), 9);
+        assert_eq!(write(&mut recorder, frame(10, 0)), [FolderChange::Back]);
+        assert!(recorder.has_written_all());
+        let drops: Vec<_> = recorder.drops().collect();
+        assert_eq!(drops, [("frames-not-recorded".to_owned(), 3)]);
+        recorder.close().await.unwrap();
+
+        let (_, found) = FrameLog::open(&own, opened_layout(), LogSettings::default()).unwrap();
+        let last = found.last.unwrap();
+        assert_eq!((last.epoch, last.sequence), (10, 0));
+    }
+
+    fn opened_layout() -> LogLayout {
+        LogLayout {
+            structure: "tower".to_owned(),
+            channels: vec!["roof".to_owned()],
+            nodes: vec!["node".to_owned()],
+            sampling_rate_hz: 100.0,
+        }
+    }
+
+    /// Regression: the folder counted as back when it was opened, although no frame could be written.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn folder_is_back_after_the_first_frame() {
+        let folder = tempfile::tempdir().unwrap();
+        let (own, away) = (folder.path().join("own"), folder.path().join("away"));
+        let mut recorder = opened(&own);
+        write(&mut recorder, frame(5, 0));
+        std::fs::rename(&own, &away).unwrap();
+        assert_eq!(write(&mut recorder, frame(5, 1)), [FolderChange::Lost]);
+        std::fs::rename(&away, &own).unwrap();
+        // A frame of another layout cannot be appended.
+        let mut refused = frame(5, 2);
+        (refused.channels, refused.values) = (2, vec![0.5, 0.5]);
+        assert_eq!(write(&mut recorder, refused), []);
+        assert!(!recorder.has_written_all() && !recorder.failure.is_empty());
+        recorder.waiting = UnrecordedFrames::default();
+        assert_eq!(write(&mut recorder, frame(5, 3)), [FolderChange::Back]);
+        assert_eq!(recorder.failure, "");
+    }
 }

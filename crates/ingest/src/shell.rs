@@ -456,6 +456,12 @@ impl IngestService {
     async fn handle(&mut self, input: AlignmentInput) -> Result<(), IngestError> {
         let mut blocks = Vec::new();
         let epoch = self.core.epoch();
+        let recorded = self.recorder.as_ref();
+        let recorded = recorded.map_or(0, |recorder| recorder.recorded_epoch());
+        if recorded > epoch {
+            let recorded = AlignmentInput::Recorded { epoch: recorded };
+            self.core.handle(recorded, &mut blocks);
+        }
         self.core.handle(input, &mut blocks);
         if self.core.epoch() != epoch
             && let Some(timekeeping) = &mut self.timekeeping

@@ -60,12 +60,25 @@ impl UnrecordedFrames {
         }
     }
 
+    /// Drops the blocks of epochs before `epoch`, and counts their frames as lost. Returns their
+    /// number.
+    pub(crate) fn drop_before(&mut self, epoch: u64) -> u64 {
+        let before = self.lost;
+        while self.blocks.front().is_some_and(|block| block.epoch < epoch) {
+            self.drop_oldest();
+        }
+        self.lost - before
+    }
+
     /// Drops the oldest blocks while a limit is exceeded, and counts their frames as lost.
     pub(crate) fn drop_excess(&mut self) {
         while self.frames > MOST_FRAMES || self.bytes > MOST_BYTES {
-            let Some(oldest) = self.blocks.pop_front() else {
-                return;
-            };
+            self.drop_oldest();
+        }
+    }
+
+    fn drop_oldest(&mut self) {
+        if let Some(oldest) = self.blocks.pop_front() {
             self.frames -= frames(&oldest);
             self.bytes -= bytes(&oldest);
             self.lost += frames(&oldest);

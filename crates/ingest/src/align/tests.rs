@@ -838,3 +838,25 @@ proptest! {
 }
 
 type VecDequeBlocks = std::collections::VecDeque<SampleBlock>;
+
+#[test]
+fn run_ends_before_a_recorded_epoch() {
+    let mut alignment = alignment(&[1]);
+    let mut out = feed(&mut alignment, vec![(0, block(0, T0, &[1.0, 2.0]))]);
+    alignment.handle(AlignmentInput::Recorded { epoch: 1 }, &mut out);
+    assert_eq!(alignment.epoch(), 1, "it is the own epoch");
+    alignment.handle(AlignmentInput::Recorded { epoch: 9 }, &mut out);
+    let last = out.last().unwrap();
+    assert_eq!((last.header.epoch, last.state), (1, StreamState::Ended));
+    let next = SampleBlock {
+        header: Header {
+            sequence: 2,
+            ..block(0, T0 + 2 * STEP, &[]).header
+        },
+        ..block(0, T0 + 2 * STEP, &[3.0, 4.0])
+    };
+    let next = feed(&mut alignment, vec![(0, next)]);
+    let first = &next[0];
+    assert_eq!((first.header.epoch, first.header.sequence), (10, 0));
+    assert_eq!(first.values, [3.0, 4.0]);
+}
