@@ -7,6 +7,8 @@ use spandrel_bus::{
     NumberedStandby, Progress, ProgressPublisher, Question, Questions, Standing,
 };
 use std::collections::VecDeque;
+use std::sync::Arc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 /// Whether an identification leads as soon as it starts, or only if there is no other leader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +48,8 @@ pub(crate) struct Leading {
     pub(crate) estimates: NumberedPublisher<EstimateBlock>,
     pub(crate) progress: ProgressPublisher,
     pub(crate) questions: Questions,
+    /// Limit of the states that are sent at once.
+    pub(crate) replies: Arc<Semaphore>,
     pub(crate) _description: LatestPublisher<Description>,
 }
 
@@ -68,12 +72,14 @@ impl Seat {
         }
     }
 
-    /// Waits for a query for the state. Never returns if this process is not the leader.
-    pub(crate) async fn question(&self) -> Question {
+    /// Waits until a state may be sent, and for a query for it. Further queries wait in the queue.
+    /// Never returns if this process is not the leader.
+    pub(crate) async fn question(&self) -> (Question, OwnedSemaphorePermit) {
         if let Self::Leading(leading) = self
+            && let Ok(permit) = leading.replies.clone().acquire_owned().await
             && let Some(question) = leading.questions.next().await
         {
-            return question;
+            return (question, permit);
         }
         std::future::pending().await
     }

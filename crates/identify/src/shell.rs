@@ -243,7 +243,7 @@ impl IdentifyService {
                         Some(delivery) => self.take(delivery).await?,
                         None => break,
                     },
-                    question = self.seat.question() => self.answer(question),
+                    (question, permit) = self.seat.question() => self.answer(question, permit),
                     () = self.claims.changed() => self.reconsider().await?,
                     _ = self.ingest.changed() => self.reconsider().await?,
                     _ = status.tick() => {

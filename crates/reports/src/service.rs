@@ -20,6 +20,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::{JoinError, JoinHandle};
 use tokio::time::Instant;
 use tracing::{info, warn};
@@ -41,6 +42,8 @@ const LATE_NS: i64 = 600_000_000_000;
 const MOST_WAITING: usize = 4;
 /// Capacity of the queue for queries.
 const QUESTIONS_WAITING: usize = 64;
+/// Maximum number of queries that are answered at once. Each reads the files of a report.
+const REPLIES_AT_ONCE: usize = 4;
 
 /// Start-up settings of the report service of one structure.
 #[derive(Clone, Debug)]
@@ -84,6 +87,7 @@ pub struct ReportsService {
     lost: u64,
     last_frames: Instant,
     questions: Questions,
+    replies: Arc<Semaphore>,
     events: EventPublisher,
     status: StatusPublisher,
     token: LiveToken,
@@ -186,6 +190,7 @@ impl ReportsService {
                 lost: 0,
                 last_frames: now,
                 questions: bus.questions(keys.all_reports(), QUESTIONS_WAITING).await?,
+                replies: Arc::new(Semaphore::new(REPLIES_AT_ONCE)),
                 events: EventPublisher::declare(bus, keys).await?,
                 status: instance.publish_status(Service::Reports, keys).await?,
                 token: instance.announce(Service::Reports, keys).await?,
@@ -212,7 +217,7 @@ impl ReportsService {
                     },
                     made = finished(&mut self.making) => self.made(made).await?,
                     kept = finished(&mut self.keeping) => self.kept(kept).await?,
-                    Some(question) = self.questions.next() => self.answer(question),
+                    Some((question, permit)) = next_question(&self.questions, &self.replies) => self.answer(question, permit),
                     _ = status.tick() => self.put_status().await?,
                     () = &mut stop => break,
                 }
@@ -432,7 +437,7 @@ impl ReportsService {
     }
 
     /// Replies to a query on a thread of its own, which reads the files.
-    fn answer(&self, question: Question) {
+    fn answer(&self, question: Question, permit: OwnedSemaphorePermit) {
         let topic = parse_key(self.keys.root(), question.key_expression());
         let asked = topic.and_then(|(_, topic)| {
             let is_report = topic.family == KeyFamily::Report;
@@ -441,6 +446,7 @@ impl ReportsService {
         let (keys, records, maker) = (self.keys.clone(), self.records.clone(), self.maker.clone());
         let waiting = self.what_waits();
         tokio::spawn(async move {
+            let _until_answered = permit;
             let Some(report) = asked else {
                 let why = "must be for one report, or for index";
                 return question.reject(why).await;
@@ -551,6 +557,16 @@ impl ReportsService {
         };
         Ok(self.status.put(report).await?)
     }
+}
+
+/// Waits until a query may be answered, and for the query. Further queries wait in the queue. The wait
+/// is cancel-safe.
+async fn next_question(
+    questions: &Questions,
+    replies: &Arc<Semaphore>,
+) -> Option<(Question, OwnedSemaphorePermit)> {
+    let permit = replies.clone().acquire_owned().await.ok()?;
+    Some((questions.next().await?, permit))
 }
 
 /// Waits for the work of a thread, if there is any. The wait is cancel-safe.

@@ -11,8 +11,10 @@ use spandrel_bus::{
     Message as _, NumberedStream, Question, Service, StateMessage, StreamState,
 };
 use spandrel_structure::Structure;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::Instant;
 use tracing::{info, warn};
@@ -39,6 +41,8 @@ const KEEP: Keep = Keep {
 /// Capacity of the queue for state queries. Further queries are dropped, and the standby repeats
 /// them.
 const QUESTIONS_WAITING: usize = 4;
+/// Maximum number of states that are sent at once. Each is a copy of up to 8 MiB.
+const STATES_AT_ONCE: usize = 2;
 /// Time limit for replies about the leader. A slower leader is detected later by its claim.
 pub(super) const WHO_LEADS_WITHIN: Duration = Duration::from_millis(500);
 /// Time limit for the leader to send its state.
@@ -286,6 +290,7 @@ impl IdentifyService {
             estimates,
             progress,
             questions,
+            replies: Arc::new(Semaphore::new(STATES_AT_ONCE)),
             _description: description,
         });
         if in_step_with.is_some() {
@@ -326,7 +331,7 @@ impl IdentifyService {
     }
 
     /// Sends the state to a process that wants to stand by.
-    pub(super) fn answer(&self, question: Question) {
+    pub(super) fn answer(&self, question: Question, permit: OwnedSemaphorePermit) {
         let (Seat::Leading(leading), Some(core)) = (&self.seat, &self.core) else {
             return;
         };
@@ -347,6 +352,7 @@ impl IdentifyService {
         // The state can be megabytes over a slow link. It is therefore sent from a blocking thread,
         // without waiting.
         spawn_blocking(move || {
+            let _until_answered = permit;
             let sealed = identity.seal(&state).map_err(|error| error.to_string());
             let answered = async {
                 match sealed {
