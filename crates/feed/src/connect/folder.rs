@@ -1,12 +1,12 @@
 //! Recordings that are dropped into a folder, each read once, in the order of their times.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::is_without_date;
-use spandrel_record::{ReadOptions, RecordedChannel, RecordedFile, TimeOrigin};
+use spandrel_record::{ReadOptions, RecordedChannel, RecordedFile, TimeOrigin, write_whole};
 use tokio::time::sleep;
 
 use crate::connect::Outlet;
@@ -275,10 +275,6 @@ impl Memory {
         let failed =
             |why: &dyn std::fmt::Display| format!("cannot write {}: {why}", path.display());
         let bytes = serde_json::to_vec(self).map_err(|error| failed(&error))?;
-        let mut new = path.as_os_str().to_owned();
-        new.push(".new");
-        let new = PathBuf::from(new);
-        std::fs::write(&new, bytes).map_err(|error| failed(&error))?;
-        std::fs::rename(&new, path).map_err(|error| failed(&error))
+        write_whole(path, &bytes).map_err(|error| failed(&error))
     }
 }
