@@ -357,7 +357,7 @@ impl Epochs {
             sum: 0.0,
             last: value,
             last_ns: display.time_ns,
-            holds_ns,
+            holds_ns: length_ns,
         });
         mean.count += 1;
         mean.sum += value;

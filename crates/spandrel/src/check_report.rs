@@ -215,7 +215,7 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
     if let Some(excitations) = rests {
         return format!("rests on {excitations}");
     }
-    let verdicts = findings.iter().filter_map(|line| match &line.finding {
+    let mut verdicts = findings.iter().filter_map(|line| match &line.finding {
         Finding::Uninformed { parameter: of, .. } if of == parameter => {
             Some("not identified".to_owned())
         }
@@ -260,9 +260,7 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         | Finding::ParticlesTooFew { .. }
         | Finding::ModesMissMass { .. } => None,
     });
-    verdicts
-        .reduce(|worst, _| worst)
-        .unwrap_or_else(|| "identified".to_owned())
+    verdicts.next().unwrap_or_else(|| "identified".to_owned())
 }
 
 /// Returns the remedy for a finding, or `None` if the text of the finding states it.
