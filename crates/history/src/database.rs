@@ -25,7 +25,9 @@ use writing::{Care, Failed, SetAside, Writing};
 
 /// Maximum number of rows for a reply. A longer span uses a coarser resolution.
 const MOST_ROWS: i64 = 50_000;
-/// Interval between display values (ns): ten per second.
+/// Maximum number of rows that are read. If there are more, the newest are missing.
+const MOST_READ: i64 = 2 * MOST_ROWS;
+/// Interval between display values (ns) at the default display rate: ten per second.
 const DISPLAY_NS: i64 = 100_000_000;
 const SECOND_NS: i64 = 1_000_000_000;
 
@@ -257,14 +259,21 @@ impl Database {
             let rows = last_ns.saturating_sub(wanted_ns.max(*from_ns)) / step_ns;
             *from_ns <= wanted_ns.saturating_add(*step_ns) && rows <= MOST_ROWS
         };
-        let (_, _, resolution_s) = *kept
-            .iter()
-            .find(fits)
-            .unwrap_or(kept.last().unwrap_or(&oldest));
-        let values = match resolution_s {
-            None => self.read_points(pool, id, query).await?,
-            Some(resolution_s) => self.read_buckets(pool, id, resolution_s, query).await?,
-        };
+        let first = { kept.iter() }
+            .position(|one| fits(&one))
+            .unwrap_or(kept.len() - 1);
+        let (mut values, mut resolution_s) = (Vec::new(), None);
+        for (_, _, resolution) in &kept[first..] {
+            resolution_s = *resolution;
+            values = match resolution {
+                None => self.read_points(pool, id, query).await?,
+                Some(resolution_s) => self.read_buckets(pool, id, *resolution_s, query).await?,
+            };
+            // The display rate can exceed ten values per second. The newest rows are then missing.
+            if values.len() < MOST_READ as usize {
+                break;
+            }
+        }
         let kept_from_s = (oldest.1 as f64) / 1e9;
         Ok(Some((
             resolution_s.and_then(|s| u32::try_from(s).ok()),
@@ -297,7 +306,7 @@ impl Database {
             .bind(id)
             .bind(query.from_ns)
             .bind(query.to_ns)
-            .bind(2 * MOST_ROWS)
+            .bind(MOST_READ)
             .fetch_all(pool)
             .await?;
         let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {
@@ -325,7 +334,7 @@ impl Database {
             // The span includes an interval that starts before it and extends into it.
             .bind((query.from_ns.div_euclid(SECOND_NS)).saturating_sub(resolution_s))
             .bind(query.to_ns.div_euclid(SECOND_NS))
-            .bind(2 * MOST_ROWS)
+            .bind(MOST_READ)
             .fetch_all(pool)
             .await?;
         let sums = |row: &AnyRow| -> Result<Sums, sqlx::Error> {

@@ -175,6 +175,31 @@ async fn keeps_and_answers(database: &Database) {
     assert_eq!(nothing.unwrap().kept_from_s, None);
 }
 
+/// Regression: the rows of a display rate above ten per second were cut off at a limit, so that the
+/// newest were missing.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_newest_values_of_a_high_display_rate_are_returned() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = file(folder.path()).await;
+    let mut collector = Collector::new(&demo(), "spandrel");
+    let batches = ten_minutes(&mut collector);
+    database.write("life", &batches).await.unwrap();
+    // 200 values per second, which are more rows than are read.
+    let between = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 19) \
+                   INSERT INTO point (series, time_ns, mean, std, probability) \
+                   SELECT series, time_ns + 5000000 * i, mean, std, probability FROM point, n";
+    let pool = database.pool().await.unwrap();
+    sqlx::query(between).execute(&pool).await.unwrap();
+    let query = SpanQuery::default();
+    let all = database
+        .span(STRUCTURE, &name("demo"), &storey_2(), &query)
+        .await
+        .unwrap();
+    assert_eq!(all.resolution_s, Some(60));
+    let last_s = all.rows.time_s.last().unwrap() - START_NS as f64 / 1e9;
+    assert!(last_s > 540.0, "{last_s}");
+}
+
 /// Returns a value of the temperature of the air (°C) after `minute` minutes.
 fn air(minute: i64, value: f64) -> ConditionDisplay {
     ConditionDisplay {
