@@ -439,15 +439,17 @@ pub fn run(
         let interrupted = interrupted();
         tokio::pin!(interrupted);
         let mut hangups = Hangups::new();
+        let mut page = page.clone();
         let ended = loop {
             let mut running = tokio::select! {
-                started = plan.start(&bus, services, share, page) => started?,
+                started = plan.start(&bus, services, share, &page) => started?,
                 // Hundreds of structures take long to start.
                 () = &mut interrupted => {
                     tell_systemd(NotifyState::Stopping);
                     break Ok(());
                 }
             };
+            page.open = false; // the browser shows the page already when the services restart
             info!(structures = plan.watched.len(), "ready");
             if services == Services::ALL {
                 log_findings(&plan.watched);
@@ -457,7 +459,7 @@ pub fn run(
             let ended = tokio::select! {
                 failed = running.failed() => Ended::Done(failed),
                 () = &mut interrupted => Ended::Done(Ok(())),
-                next = hangups.read(|| Plan::read(arguments, services, share, page)) => Ended::Anew(Box::new(next)),
+                next = hangups.read(|| Plan::read(arguments, services, share, &page)) => Ended::Anew(Box::new(next)),
                 never = feed_watchdog(pool) => never,
                 never = keep_folders(plan.state.as_ref(), plan.keys()) => never,
                 never = report_lost_readers(&bus, plan.with_readers()) => never,
@@ -553,7 +555,14 @@ fn open_in_browser(page: &str) {
         .stdout(quiet())
         .stderr(quiet())
         .spawn();
-    if let Err(error) = opened {
-        warn!(opener, page, %error, "cannot open a browser");
+    match opened {
+        // The end of the opener must be awaited, because it otherwise remains as a zombie process.
+        Ok(mut opener) => {
+            let thread = std::thread::Builder::new().name("opener".to_owned());
+            if let Err(error) = thread.spawn(move || opener.wait()) {
+                warn!(%error, "cannot await the opener of the page");
+            }
+        }
+        Err(error) => warn!(opener, page, %error, "cannot open a browser"),
     }
 }
