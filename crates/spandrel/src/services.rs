@@ -61,7 +61,7 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
     if paths.is_empty() {
         return Err(AppError::NoStructure);
     }
-    let all = paths.len() == settings.structures.len();
+    let all = *paths == settings.structures;
     let mut watched: Vec<Watched> = Vec::new();
     for (index, path) in paths.iter().enumerate() {
         let read = watch_structure(settings, path)?;
@@ -795,4 +795,36 @@ pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<
         source,
     })?;
     runtime.block_on(future)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example(name: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../docs/examples")
+            .join(name)
+    }
+
+    /// Regression: as many arguments as structures of the configuration counted as all of them.
+    #[test]
+    fn baselines_of_other_structures_are_allowed_if_the_arguments_name_one() {
+        let settings = Settings {
+            structures: vec![example("demo.toml")],
+            baselines: [("demo".to_owned(), "baseline.json".into())].into(),
+            ..Settings::default()
+        };
+        let watched = read_structures(&settings, &[example("tower.toml")]).unwrap();
+        assert_eq!(watched.len(), 1);
+        let settings = Settings {
+            structures: vec![example("tower.toml")],
+            ..settings
+        };
+        let error = read_structures(&settings, &[]).unwrap_err();
+        assert!(
+            matches!(error, AppError::BaselineOfNone { .. }),
+            "{error:?}"
+        );
+    }
 }
