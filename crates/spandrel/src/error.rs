@@ -440,6 +440,16 @@ pub enum AppError {
         /// Error of the runtime.
         source: tokio::task::JoinError,
     },
+    /// Instances of a service did not stop, and were aborted.
+    #[error("{service} of {of}: the service did not stop before its deadline of {deadline_s} s")]
+    NotStopped {
+        /// Name of the service.
+        service: &'static str,
+        /// Its structures and nodes.
+        of: String,
+        /// The deadline in s.
+        deadline_s: u64,
+    },
     /// The validation could not run, or its report could not be written.
     #[error(transparent)]
     Validate(#[from] ValidateError),
@@ -758,6 +768,7 @@ impl AppError {
             | Self::NoAnswerOfJudge { .. }
             | Self::NoFrames { .. }
             | Self::Io { .. }
+            | Self::NotStopped { .. }
             | Self::Panicked { .. } => false,
         }
     }

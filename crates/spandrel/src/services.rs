@@ -29,8 +29,8 @@ use std::task::Poll;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{oneshot, watch};
-use tokio::task::{JoinError, JoinSet};
-use tracing::{info, warn};
+use tokio::task::{AbortHandle, JoinError, JoinSet};
+use tracing::{error, info, warn};
 
 /// Time limit for each stage to process its queue after a stop.
 const STOP_DEADLINE: Duration = Duration::from_secs(10);
@@ -244,6 +244,8 @@ pub struct Running {
 struct Stage {
     service: Service,
     tasks: JoinSet<Result<(), AppError>>,
+    /// Structures or nodes of each task.
+    of: Vec<(String, AbortHandle)>,
     stop: watch::Sender<bool>,
 }
 
@@ -258,6 +260,7 @@ impl Stage {
         Self {
             service,
             tasks: JoinSet::new(),
+            of: Vec::new(),
             stop: watch::Sender::new(false),
         }
     }
@@ -277,8 +280,8 @@ impl Stage {
             let (plan, stop) = (plan.clone(), stopped(stop.clone()));
             async move { Ok(S::start(&plan).await?.run(Box::pin(stop)).await?) }
         };
-        self.tasks
-            .spawn(supervise(self.service.as_str(), of, first, next));
+        let life = supervise(self.service.as_str(), of.clone(), first, next);
+        self.of.push((of, self.tasks.spawn(life)));
     }
 
     /// Returns how an instance ended.
@@ -291,7 +294,8 @@ impl Stage {
         })
     }
 
-    async fn stop(&mut self) -> Result<(), AppError> {
+    /// Stops all instances, and aborts those that do not finish before the deadline.
+    async fn stop(&mut self, deadline: Duration) -> Result<(), AppError> {
         self.stop.send_replace(true);
         let mut first = Ok(());
         let all = async {
@@ -302,13 +306,18 @@ impl Stage {
                 }
             }
         };
-        if tokio::time::timeout(STOP_DEADLINE, all).await.is_err() {
-            warn!(
-                service = self.service.as_str(),
-                deadline_s = STOP_DEADLINE.as_secs(),
-                "did not finish in time"
-            );
+        if tokio::time::timeout(deadline, all).await.is_err() {
+            let late = { self.of.iter() }.filter(|(_, task)| !task.is_finished());
+            let late: Vec<&str> = late.map(|(of, _)| of.as_str()).collect();
+            let (service, of) = (self.service.as_str(), late.join(", "));
+            let deadline_s = deadline.as_secs();
+            error!(service, of, deadline_s, "did not finish in time");
             self.tasks.abort_all();
+            first = first.and(Err(AppError::NotStopped {
+                service,
+                of,
+                deadline_s,
+            }));
         }
         first
     }
@@ -682,7 +691,7 @@ impl Running {
     pub async fn stop(mut self) -> Result<(), AppError> {
         let mut first = Ok(());
         for stage in &mut self.stages {
-            let stopped = stage.stop().await;
+            let stopped = stage.stop(STOP_DEADLINE).await;
             first = first.and(stopped);
         }
         first
@@ -800,6 +809,7 @@ pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::future::pending;
 
     fn example(name: &str) -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -825,6 +835,20 @@ mod tests {
         assert!(
             matches!(error, AppError::BaselineOfNone { .. }),
             "{error:?}"
+        );
+    }
+
+    #[tokio::test]
+    async fn error_names_what_did_not_stop_before_the_deadline() {
+        let mut stage = Stage::new(Service::Ingest);
+        for (of, stops) in [("tower", true), ("bridge", false)] {
+            let life = async move { if stops { Ok(()) } else { pending().await } };
+            stage.of.push((of.to_owned(), stage.tasks.spawn(life)));
+        }
+        let error = stage.stop(Duration::from_secs(1)).await.unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "ingest of bridge: the service did not stop before its deadline of 1 s"
         );
     }
 }

@@ -471,7 +471,11 @@ pub fn run(
             match ended {
                 Ended::Done(result) => break result.and(stopped),
                 Ended::Anew(next) => {
-                    stopped?;
+                    match stopped {
+                        // The error is logged, and the next start does not depend on the old service.
+                        Ok(()) | Err(AppError::NotStopped { .. }) => {}
+                        Err(error) => break Err(error),
+                    }
                     if next.settings.bus != plan.settings.bus {
                         warn!(
                             "bus settings changed; they apply from the next start of the process"
