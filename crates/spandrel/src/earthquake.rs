@@ -9,6 +9,7 @@
 //! - [`report`]: the judgement of an event in numbers (JSON)
 //! - [`wording`]: the same in sentences
 //! - [`charts`]: the diagrams of a report as SVG
+//! - [`judgement_table`]: what is judged, as a table
 //! - [`page`]: the report of an event as HTML
 //! - [`index`]: the ranked list of all reports in a folder
 
@@ -17,6 +18,7 @@ pub mod course;
 pub mod event_record;
 pub mod identified;
 pub mod index;
+pub mod judgement_table;
 pub mod live;
 pub mod page;
 pub mod report;

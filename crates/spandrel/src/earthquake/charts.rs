@@ -306,9 +306,12 @@ pub fn stiffness(report: &EventReport, parameter: &ParameterReport) -> String {
             [LEFT, axis.at(band.low)],
             [RIGHT, axis.at(band.high)],
         );
+        // Below the axis, where no interval of a window is.
+        let key = [LEFT, BOTTOM + 22.0];
+        svg.area("expected", key, [LEFT + 14.0, BOTTOM + 31.0]);
         svg.word(
-            "label",
-            [LEFT + 6.0, axis.at(band.high) + 12.0],
+            "tick",
+            [LEFT + 20.0, BOTTOM + 30.0],
             "earlier events in weak motion, 95 %",
         );
     }
@@ -380,7 +383,7 @@ pub fn events(report: &EventReport, parameter: &ParameterReport) -> String {
         from: LEFT + ROOM,
         to: RIGHT - ROOM,
     };
-    let mut svg = Svg::new(BOTTOM + 74.0, "stiffness of all events so far");
+    let mut svg = Svg::new(BOTTOM + 98.0, "stiffness of all events so far");
     svg.vertical(&axis, 5.0);
     if let Some(band) = parameter.expected {
         svg.area(
@@ -413,15 +416,12 @@ pub fn events(report: &EventReport, parameter: &ParameterReport) -> String {
                 ],
             );
         }
-        let label = event
-            .name
-            .start
-            .as_ref()
-            .and_then(|start| start.get(..10))
-            .map_or_else(
-                || event.name.record.chars().take(10).collect(),
-                str::to_owned,
-            );
+        // To the minute, because an aftershock may follow within an hour.
+        let start = event.name.start.as_ref().and_then(|start| start.get(..16));
+        let label = start.map_or_else(
+            || event.name.record.chars().take(16).collect(),
+            |start| start.replace('T', " "),
+        );
         let _ = writeln!(
             svg.text,
             "<text class=\"tick end{now}\" transform=\"translate({:.1} {:.1}) rotate(-50)\">{}</text>",

@@ -184,8 +184,7 @@ impl EventRecord {
     pub fn figures(&self, structure: &Structure) -> Result<Vec<SensorFigures>, AppError> {
         let step_s = structure.step_s();
         let fundamental = fundamental_hz(structure).recip();
-        let mut periods: Vec<f64> = PERIODS_S.into_iter().chain([fundamental]).collect();
-        periods.sort_by(f64::total_cmp);
+        let periods = periods_s(fundamental);
         let of_channel = |(channel, samples): (&Channel, &Vec<f64>)| -> Result<_, AppError> {
             let quantity = channel.quantity();
             let (intensity, spectrum) = match is_acceleration(quantity) {
@@ -211,6 +210,24 @@ impl EventRecord {
             .map(of_channel)
             .collect()
     }
+}
+
+/// Returns the periods of the table (s), rising, with the fundamental period unless it is one of them.
+fn periods_s(fundamental_s: f64) -> Vec<f64> {
+    let mut periods = PERIODS_S.to_vec();
+    if !PERIODS_S
+        .iter()
+        .any(|one| is_same_period(*one, fundamental_s))
+    {
+        periods.push(fundamental_s);
+    }
+    periods.sort_by(f64::total_cmp);
+    periods
+}
+
+/// Returns `true` if two periods (s) are equal as the table writes them.
+pub fn is_same_period(a: f64, b: f64) -> bool {
+    (a - b).abs() < 0.005
 }
 
 /// Returns the spectral accelerations of a channel. Its mean counts as an offset. A channel without
@@ -250,4 +267,15 @@ pub fn fundamental_hz(structure: &Structure) -> f64 {
     let frequencies = structure.natural_frequencies_hz();
     let lowest = frequencies.into_iter().find(|frequency| *frequency > 0.0);
     lowest.unwrap_or(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn table_has_no_period_twice() {
+        assert_eq!(periods_s(1.0 + 1e-12), PERIODS_S);
+        assert_eq!(periods_s(1.1), [0.1, 0.2, 0.5, 1.0, 1.1, 2.0]);
+    }
 }

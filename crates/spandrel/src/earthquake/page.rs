@@ -2,6 +2,8 @@
 //! font and no connection.
 
 use super::charts;
+use super::event_record::is_same_period;
+use super::judgement_table;
 use super::report::{EventReport, SensorReport};
 use super::wording::percent;
 use spandrel_earthquake::Phase;
@@ -60,7 +62,7 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>], occasion: &str) -> Stri
     );
     page += "<section>\n";
     page += &list("What happened", &report.happened);
-    page += &list("What is judged", &report.judged);
+    page += &judgement_table::html(report);
     page += &list("What is not judged, and why", &report.not_judged);
     page += "</section>\n";
     page += &sensors(report);
@@ -99,7 +101,8 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>], occasion: &str) -> Stri
     page
 }
 
-fn list(title: &str, sentences: &[String]) -> String {
+/// Returns a titled list of sentences. Empty without any.
+pub fn list(title: &str, sentences: &[String]) -> String {
     if sentences.is_empty() {
         return String::new();
     }
@@ -140,7 +143,7 @@ fn sensors(report: &EventReport) -> String {
                     <th scope=\"col\" class=\"n\">D5-95</th>"
             .to_owned();
     for period in &periods {
-        let class = if (period - own).abs() < 1e-9 {
+        let class = if is_same_period(*period, own) {
             "n own"
         } else {
             "n"

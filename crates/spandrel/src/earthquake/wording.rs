@@ -5,7 +5,8 @@ mod weak;
 use super::report::{EventName, EventReport, ParameterReport, Source};
 use spandrel_earthquake::motion::GRAVITY;
 use spandrel_earthquake::{LastingLoss, ReferenceKind, Softening, Urgency, Waiting};
-use weak::{alerted, is_predicted, ratios, unpredictable, unpredicted_headline, weak_headline};
+pub use weak::{alerted, ratios};
+use weak::{is_predicted, unpredictable, unpredicted_headline, weak_headline};
 
 /// Formats a share in per cent without decimals, with the typographic minus sign.
 pub fn percent(share: f64) -> String {
@@ -79,7 +80,7 @@ pub fn judged(report: &EventReport) -> Vec<String> {
         let name = &parameter.name;
         if let Some(softening) = &parameter.judgement.softening {
             sentences.push(softened(name, softening, report));
-            sentences.extend(compared_with(parameter));
+            sentences.extend(compared_with(parameter).map(|text| format!("It is {text}")));
             sentences.extend(regained(parameter));
         }
         if let Some(weak) = &parameter.judgement.weak {
@@ -108,31 +109,31 @@ pub fn judged(report: &EventReport) -> Vec<String> {
             };
             sentences.push(text);
         }
-        let judgement = &parameter.judgement;
-        let worst = judgement.raised().or_else(|| judgement.most_probable());
-        let is_told = |since: usize| {
-            since == judgement.event || worst.is_some_and(|(worst, _)| worst == since)
-        };
-        let told = judgement.lasting.iter();
-        for candidate in told.filter(|candidate| is_told(candidate.since)) {
-            let (Some(loss), Some(since)) =
-                (&candidate.loss, parameter.events.get(candidate.since))
-            else {
-                continue;
-            };
-            sentences.push(lasting(name, loss, &since.name, report));
+        for (loss, since) in told_losses(parameter) {
+            sentences.push(lasting(name, loss, since, report));
         }
     }
     sentences
 }
 
-/// What is not judged, and why.
-pub fn not_judged(report: &EventReport) -> Vec<String> {
-    let sentences = unjudged(report);
-    sentences.iter().map(|text| capitalised(text)).collect()
+/// Returns the lasting losses that a report states of a stiffness: the one since its own event, and
+/// the worst one. Each has the event since which it lasts.
+pub fn told_losses(parameter: &ParameterReport) -> Vec<(&LastingLoss, &EventName)> {
+    let judgement = &parameter.judgement;
+    let worst = judgement.raised().or_else(|| judgement.most_probable());
+    let is_told =
+        |since: usize| since == judgement.event || worst.is_some_and(|(worst, _)| worst == since);
+    let told = judgement.lasting.iter();
+    told.filter(|candidate| is_told(candidate.since))
+        .filter_map(|candidate| {
+            let since = parameter.events.get(candidate.since)?;
+            Some((candidate.loss.as_ref()?, &since.name))
+        })
+        .collect()
 }
 
-fn unjudged(report: &EventReport) -> Vec<String> {
+/// What is not judged, and why.
+pub fn not_judged(report: &EventReport) -> Vec<String> {
     let mut sentences = Vec::new();
     if report.parameters.is_empty() {
         sentences.push(
@@ -141,50 +142,90 @@ fn unjudged(report: &EventReport) -> Vec<String> {
                 .to_owned(),
         );
     }
+    sentences.extend(merged(&unjudged_parts(report)));
+    sentences.extend(unjudged_record(report));
+    sentences
+}
+
+/// A stiffness, and a sentence about it.
+struct Told<'r> {
+    name: &'r str,
+    text: String,
+}
+
+/// Returns one sentence for each text, with the names of all stiffnesses that it is about.
+fn merged(all: &[Told]) -> Vec<String> {
+    let is_first = |index: usize| all[..index].iter().all(|one| one.text != all[index].text);
+    let firsts = all.iter().enumerate().filter(|(index, _)| is_first(*index));
+    firsts
+        .map(|(_, first)| {
+            let same = all.iter().filter(|one| one.text == first.text);
+            let names: Vec<&str> = same.map(|one| one.name).collect();
+            capitalised(&format!("{}: {}", names.join(", "), first.text))
+        })
+        .collect()
+}
+
+fn unjudged_parts(report: &EventReport) -> Vec<Told<'_>> {
+    let mut all = Vec::new();
     for parameter in &report.parameters {
-        let name = &parameter.name;
+        let mut tell = |text: String| {
+            all.push(Told {
+                name: &parameter.name,
+                text,
+            });
+        };
         let judgement = &parameter.judgement;
         if parameter.course.points.is_empty() {
-            sentences.push(format!(
-                "{name}: the record teaches nothing about this stiffness. It moves too little, or its \
-                 data cannot be used."
-            ));
+            tell(
+                "the record teaches nothing about this stiffness. It moves too little, or its data \
+                 cannot be used."
+                    .to_owned(),
+            );
         }
         if !report.shook() && !parameter.course.points.is_empty() && !is_predicted(parameter) {
-            sentences.push(format!(
-                "{name}: a change in weak motion is not judged, because {}.",
+            tell(format!(
+                "a change in weak motion is not judged, because {}.",
                 unpredictable(parameter)
             ));
         }
         if parameter.course.has_shaking && judgement.softening.is_none() {
-            sentences.push(format!(
-                "{name}: the softening in the shaking is not known, because no window of it teaches \
+            tell(
+                "the softening in the shaking is not known, because no window of it teaches \
                  enough, or because nothing shows the sound stiffness."
-            ));
+                    .to_owned(),
+            );
         }
         if judgement
             .softening
             .is_some_and(|softening| softening.is_contradicted)
         {
-            sentences.push(format!(
-                "{name}: in the strongest motion the data contradict the linear model. The softening \
+            tell(
+                "in the strongest motion the data contradict the linear model. The softening \
                  is therefore a rough figure, and its interval too narrow."
-            ));
+                    .to_owned(),
+            );
         }
         if let Some(waiting) = judgement.own().and_then(|own| own.waiting) {
-            sentences.push(format!("{name}: {}", waits(waiting)));
+            tell(waits(waiting));
         }
         if let Some((_, loss)) = judgement.most_probable()
             && !loss.is_raised
         {
-            sentences.push(format!(
-                "{name}: with {} events before and {} since, a lasting loss below {} cannot be raised.",
+            tell(format!(
+                "with {} events before and {} since, a lasting loss below {} cannot be raised.",
                 loss.earlier,
                 loss.later,
                 percent(loss.smallest)
             ));
         }
     }
+    all
+}
+
+/// What is not judged of the whole record.
+fn unjudged_record(report: &EventReport) -> Vec<String> {
+    let mut sentences = Vec::new();
     if report.fit.is_none() {
         sentences.push(
             "Whether the model fits the data is not judged with this kind of filter, or the record \
@@ -235,7 +276,11 @@ pub fn headline(report: &EventReport) -> String {
     told + action
 }
 
+/// The softening in strong motion. `None` if the structure did not shake strongly.
 fn softening_headline(report: &EventReport) -> Option<String> {
+    if !report.shook() {
+        return None;
+    }
     let all = report
         .parameters
         .iter()
@@ -332,9 +377,11 @@ fn softened(name: &str, softening: &Softening, report: &EventReport) -> String {
     };
     text += &match softening.expected {
         Some(expected) => format!(
-            "; at this amplitude, {} earlier event{} let expect {} ({:.1} standard deviations {}).",
-            expected.events,
-            if expected.events == 1 { "" } else { "s" },
+            "; at this amplitude, {} {} ({:.1} standard deviations {}).",
+            match expected.events {
+                1 => "the only earlier event predicts".to_owned(),
+                events => format!("{events} earlier events predict"),
+            },
             percent(-expected.change),
             expected.deviations.abs(),
             if expected.deviations < 0.0 {
@@ -354,22 +401,39 @@ fn compared_with(parameter: &ParameterReport) -> Option<String> {
     match reference.kind {
         ReferenceKind::Events => None,
         ReferenceKind::FewEvents => Some(format!(
-            "It is compared with {} earlier event{}, and with an assumed scatter of 10 % between \
+            "compared with {} earlier event{}, and with an assumed scatter of 10 % between \
              events.",
             reference.events,
             if reference.events == 1 { "" } else { "s" }
         )),
         ReferenceKind::OwnWeakMotion => Some(
-            "It is compared with the weak motion of the same record, because no earlier record shows \
+            "compared with the weak motion of the same record, because no earlier record shows \
              weak motion."
                 .to_owned(),
         ),
         ReferenceKind::OwnRecovery => Some(
-            "It is compared with the end of the same record, because no earlier record shows weak \
+            "compared with the end of the same record, because no earlier record shows weak \
              motion. It is therefore a lower bound."
                 .to_owned(),
         ),
     }
+}
+
+/// Returns with what the softening of each stiffness is compared, one sentence for equal ones.
+pub fn comparisons(report: &EventReport) -> Vec<String> {
+    let softened = report
+        .parameters
+        .iter()
+        .filter(|parameter| parameter.judgement.softening.is_some());
+    let all: Vec<Told> = softened
+        .filter_map(|parameter| {
+            Some(Told {
+                name: &parameter.name,
+                text: compared_with(parameter)?,
+            })
+        })
+        .collect();
+    merged(&all)
 }
 
 /// How much of the stiffness was back at the end of the record.
@@ -387,14 +451,9 @@ fn regained(parameter: &ParameterReport) -> Option<String> {
 
 /// The judgement of a lasting loss.
 fn lasting(name: &str, loss: &LastingLoss, since: &EventName, report: &EventReport) -> String {
-    let verdict = match loss {
-        loss if loss.is_raised => "raised",
-        loss if loss.probability >= 0.5 => "probable, not certain",
-        _ => "not shown",
-    };
     format!(
         "Lasting loss of {name} since {}: {} ({}), from {} event{} before and {} since. P(any loss) = \
-         {}, P(more than {}) = {}: {verdict}.",
+         {}, P(more than {}) = {}: {}.",
         since.title(),
         percent(loss.loss),
         percent_range(loss.interval.low, loss.interval.high),
@@ -403,8 +462,18 @@ fn lasting(name: &str, loss: &LastingLoss, since: &EventName, report: &EventRepo
         loss.later,
         probability(loss.probability_of_any),
         percent(report.settings.loss),
-        probability(loss.probability)
+        probability(loss.probability),
+        verdict(loss)
     )
+}
+
+/// The verdict on a lasting loss.
+pub fn verdict(loss: &LastingLoss) -> &'static str {
+    match loss {
+        loss if loss.is_raised => "raised",
+        loss if loss.probability >= 0.5 => "probable, not certain",
+        _ => "not shown",
+    }
 }
 
 /// What a judgement waits for.
@@ -500,4 +569,26 @@ pub fn line(report: &EventReport) -> String {
         },
         softening.join(", "),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_reasons_are_one_sentence_with_all_names() {
+        let told = |name, text: &str| Told {
+            name,
+            text: text.to_owned(),
+        };
+        let all = [
+            told("storey-1", "too short."),
+            told("storey-2", "too weak."),
+            told("storey-3", "too short."),
+        ];
+        assert_eq!(
+            merged(&all),
+            ["Storey-1, storey-3: too short.", "Storey-2: too weak."]
+        );
+    }
 }

@@ -4,7 +4,7 @@ use super::super::report::{EventReport, ParameterReport};
 use spandrel_earthquake::{FEWEST_EVENTS, Interval};
 
 /// An alert, as a sentence.
-pub(super) fn alerted(why: &str) -> String {
+pub fn alerted(why: &str) -> String {
     format!("An alert is raised: {why}.")
 }
 
@@ -25,7 +25,7 @@ pub(super) fn unpredicted_headline(report: &EventReport) -> Option<String> {
 }
 
 /// Formats an interval of ratios: `0.87 to 1.21`.
-pub(super) fn ratios(interval: Interval) -> String {
+pub fn ratios(interval: Interval) -> String {
     format!("{:.2} to {:.2}", interval.low, interval.high)
 }
 
@@ -66,10 +66,7 @@ pub(super) fn is_predicted(parameter: &ParameterReport) -> bool {
 /// Why the weak motion of a record cannot be compared with a prediction.
 pub(super) fn unpredictable(parameter: &ParameterReport) -> String {
     if parameter.judgement.weak.is_none() {
-        return format!(
-            "the record shows no stiffness of {} in weak motion",
-            parameter.name
-        );
+        return "the record shows no stiffness in weak motion".to_owned();
     }
     let found = parameter.judgement.earlier();
     format!(
