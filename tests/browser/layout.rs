@@ -144,7 +144,7 @@ async fn a_card_names_four_sensors_and_has_the_others_in_its_title() {
         const { OverviewPage } = await import('/overview.js');
         const page = new OverviewPage({ listen() {}, on: () => () => {} });
         const troubled = Array.from({ length: 26 }, (_, index) => `acceleration-${index + 1}`);
-        page.show({ structures: [{ name: 'tower', description: '', sentence: '', level: 'warning', has_model: true, age_s: 0, sensors: { alive: 1, total: 27, troubled } }] });
+        page.show({ structures: [{ name: 'tower', description: '', sentence: '', level: 'warning', has_model: true, is_filtered: true, age_s: 0, sensors: { alive: 1, total: 27, troubled } }] });
         const shown = page.element.querySelector('.fact-sensors dd');
         return [shown.textContent, shown.title === troubled.join(', ')];
       })()";

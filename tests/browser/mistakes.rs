@@ -280,7 +280,7 @@ async fn a_part_without_a_decision_does_not_look_like_damage() {
                 const [{{ NowTab }}, {{ Points, Scale, Span }}, {{ parameterPlot }}] = await Promise.all(['/now.js', '/span.js', '/plots.js'].map((file) => import(file)));
                 const {{ about, standing }} = await (await fetch('/api/structures/demo')).json();
                 standing.alerts.find(({{ parameter }}) => parameter === 'storey-2').state = '{state}';
-                standing.losses['storey-2'].probability_of_loss = 1;
+                Object.assign(standing.losses['storey-2'], {{ probability_of_loss: 1, reference: 1, loss: 0.25, interval: {{ level: 0.95, low: 0.125, high: 0.375 }} }});
                 const span = new Span();
                 const page = {{ name: 'demo', about, span, points: new Points('demo', span), scale: new Scale(), standing: () => standing, choose() {{}} }};
                 const tab = new NowTab(page);
@@ -288,15 +288,23 @@ async fn a_part_without_a_decision_does_not_look_like_damage() {
                 document.getElementById('main').replaceChildren(tab.element);
                 const part = tab.element.querySelector('.drawing .part[data-part=storey-2]');
                 const words = tab.element.querySelectorAll('.drawing .inside');
-                const row = [...tab.element.querySelectorAll('.parameters tbody tr')][1];
-                const readout = parameterPlot(about.parameters[1], page.standing, page.points, span, null).plot.readout([[0], [0.85], [0], [0], [0.8], [0.9], [0], [0], [1]], 0);
-                return [part.dataset.step ?? null, [...words].some((one) => one.textContent === '? undecided'), row.children[4].textContent, row.querySelector('.meter').hidden, readout.split(' · ').at(-1)];
+                const row = [...tab.element.querySelectorAll('.parameters tbody tr')].find(({{ firstElementChild }}) => firstElementChild.textContent === 'storey-2');
+                const readout = parameterPlot(about.parameters[1], page.standing, page.points, span, null).plot.readout([[0], [0.85], [0], [0], [0.8], [0.9], [0], [0], [0.25], [0.125], [0.375], [1]], 0);
+                return [part.dataset.step ?? null, [...words].some((one) => one.textContent === '? undecided'), row.children[4].textContent, row.querySelector('.meter').hidden, readout, part.dataset.open ?? null, row.children[3].textContent === '0.625 to 0.875'];
             }})()"
         )
     };
     assert_eq!(
         browser.evaluate(&shown("raised")).await,
-        json!(["4", false, "> 99.9 %", false, "P(loss > 5 %) > 99.9 %"])
+        json!([
+            "3",
+            false,
+            "> 99.9 %",
+            false,
+            "0.850 · 95 %: 0.800 to 0.900 · P(loss > 5 %) > 99.9 %",
+            null,
+            false
+        ])
     );
     assert_eq!(
         browser.evaluate(&shown("undecided")).await,
@@ -305,7 +313,22 @@ async fn a_part_without_a_decision_does_not_look_like_damage() {
             true,
             "undecided (> 99.9 %)",
             true,
-            "P(loss > 5 %) undecided (> 99.9 %)"
+            "0.750 · 95 %: 0.625 to 0.875 · P(loss > 5 %) undecided (> 99.9 %)",
+            "undecided",
+            true
+        ])
+    );
+    // Regression test: an alert that the newest data do not confirm looked like certain damage.
+    assert_eq!(
+        browser.evaluate(&shown("unconfirmed")).await,
+        json!([
+            null,
+            false,
+            "unconfirmed (> 99.9 %)",
+            true,
+            "0.750 · 95 %: 0.625 to 0.875 · P(loss > 5 %) unconfirmed (> 99.9 %)",
+            "unconfirmed",
+            true
         ])
     );
     browser.screenshot("undecided").await;

@@ -14,6 +14,7 @@ mod mistakes;
 mod overview;
 mod report;
 mod samples;
+mod trouble;
 mod waveforms;
 mod workspace;
 

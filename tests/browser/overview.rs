@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 const OVERVIEW: &str = "(async () => {
     const { OverviewPage } = await import('/overview.js');
     const page = new OverviewPage({ listen() {}, on: () => () => {} });
-    const common = { description: '', sentence: 'why', has_model: true, age_s: 0, sensors: { alive: 1, total: 1, troubled: [] } };
+    const common = { description: '', sentence: 'why', has_model: true, is_filtered: true, age_s: 0, sensors: { alive: 1, total: 1, troubled: [] } };
     page.show({ structures: STRUCTURES.map((structure) => ({ ...common, ...structure })) });
     document.getElementById('main').replaceChildren(page.element);
     const [summary, reported] = ['.summary', '.reported'].map((name) => page.element.querySelector(name));

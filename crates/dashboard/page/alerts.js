@@ -1,6 +1,6 @@
 // Alerts of all structures: current alerts, past changes and acknowledgements.
 
-import { h, keyed, setText } from "./dom.js";
+import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { SERVICES, STATES, canBeSeen, levelOf, natural, place, setSentence, time, withMinus } from "./words.js";
 
@@ -103,11 +103,29 @@ class AlertList {
   show(alerts, key, isFiltered) {
     const isUrgent = ({ state }) => isFiltered || !ROUTINE.includes(state);
     const [urgent, routine] = [alerts.filter(isUrgent), alerts.filter((alert) => !isUrgent(alert))];
-    keyed(this.urgent, urgent, key, () => this.#make(), updateAlert);
+    // Current alerts have one card per part. Past changes of a part are folded behind the newest.
+    if (this.canAcknowledge) keyed(this.urgent, urgent, key, () => this.#make(), updateAlert);
+    else keyed(this.urgent, grouped(urgent, ({ structure, parameter }) => `${structure}/${parameter}`), ([{ structure, parameter }]) => `${structure}/${parameter}`, () => this.#makeGroup(), (group, changes) => this.#updateGroup(group, changes, key));
     keyed(this.routine, routine, key, () => this.#make(), updateAlert);
     this.folded.hidden = routine.length === 0;
     setText(this.title, this.canAcknowledge ? t("parts-without-an-alert", routine.length) : t("changes-between-normal-learning-and-undecided", routine.length));
     return urgent.length > 0;
+  }
+
+  #makeGroup() {
+    const newest = this.#make();
+    const [title, list] = [h("summary"), h("ul", { class: "alerts past" })];
+    const folded = h("details", { class: "routine" }, title, list);
+    newest.element.append(folded);
+    return { ...newest, newest, title, list, folded };
+  }
+
+  #updateGroup({ newest, title, list, folded }, changes, key) {
+    updateAlert(newest, changes[0]);
+    const first = changes.at(-1);
+    folded.hidden = changes.length === 1;
+    setText(title, t("changed-times", STATES[first.state].word, time(first.time_ns / 1e9), changes.length - 1));
+    keyed(list, changes.slice(1), key, () => this.#make(), updateAlert);
   }
 
   #make() {

@@ -70,6 +70,13 @@ export function setAttribute(element, name, value) {
   else if (element.getAttribute(name) !== String(value)) element.setAttribute(name, value);
 }
 
+/** Returns the items in groups with the same key, in the order of their first items. */
+export function grouped(items, key) {
+  const groups = new Map();
+  for (const item of items) groups.set(key(item), [...(groups.get(key(item)) ?? []), item]);
+  return [...groups.values()];
+}
+
 /**
  * Keeps one child per item, in the order of the items. Moves and updates existing children, creates
  * new ones and removes others.

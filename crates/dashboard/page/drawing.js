@@ -3,7 +3,7 @@
 
 import { h, s, setAttribute, setText, whole } from "./dom.js";
 import { t } from "./language.js";
-import { HEALTH, STATES, STEPS, isUndecided, probability, sensorName, step } from "./words.js";
+import { HEALTH, STATES, STEPS, isOpen, probability, sensorName, step } from "./words.js";
 
 /** Size of the drawing in its own units, and width of a drawing above the table. */
 const WIDTH = 420;
@@ -28,6 +28,8 @@ const BELOW = 26;
 /** Width of a character of a name, and height of a name. */
 const CHARACTER = 7;
 const NAME_HEIGHT = 14;
+/** Widest probability below a name. */
+const WIDEST_VALUE = "> 99.9 %";
 /** Size of the sign of a sensor. */
 const SIGN = 12;
 const MARGIN = 34;
@@ -66,7 +68,7 @@ export class Drawing {
     this.isWide = drawing.form === "members" && isWide(drawing.points);
     this.width = this.isWide && !matchMedia(NARROW).matches ? WIDE : WIDTH;
     this.svg = s("svg", { class: "drawing", role: "img", viewBox: `0 0 ${WIDTH} ${HEIGHT}` });
-    this.svg.append(s("title", {}, about.has_model ? t("drawing-of-coloured-by-probability-of-loss", about.name) : t("drawing-of-with-its-sensors", about.name)));
+    this.svg.append(s("title", {}, about.is_filtered ? t("drawing-of-coloured-by-probability-of-loss", about.name) : t("drawing-of-with-its-sensors", about.name)));
     this.svg.append(hatches());
     const parameters = new Set(drawing.members.flatMap((member) => member.parameters));
     this.namesAll = parameters.size <= MOST_NAMES;
@@ -76,23 +78,27 @@ export class Drawing {
     this.element = h("figure", { class: "drawing-figure", hidden: drawing.points.length === 0 }, this.svg, key(about, this.note));
   }
 
-  /** Colours the parts and marks the sensors. A part without a decision has no colour. */
+  /** Colours the parts and marks the sensors. A part without a decision, or whose alert is not confirmed, has no colour. */
   update({ losses, sensors, alerts }) {
     const found = new Map();
-    const open = new Set(alerts.filter(isUndecided).map(({ parameter }) => parameter));
+    const open = new Map(alerts.filter(isOpen).map(({ parameter, state }) => [parameter, state]));
     for (const part of this.#parts) {
       const known = part.parameters.flatMap((name) => (open.has(name) ? [] : (losses[name] ?? []))).sort((a, b) => b.probability_of_loss - a.probability_of_loss);
       const worst = known[0]?.probability_of_loss ?? null;
-      const isOpen = worst === null && part.parameters.some((name) => open.has(name));
-      const told = isOpen ? `${STATES.undecided.sign} ${STATES.undecided.word}` : probability(worst, known[0]?.rule_credibility);
-      found.set(part.name, { worst, told });
+      const states = worst === null ? part.parameters.map((name) => open.get(name)).filter(Boolean) : [];
+      const state = states.includes("unconfirmed") ? "unconfirmed" : (states[0] ?? null);
+      const told = state ? `${STATES[state].sign} ${STATES[state].word}` : probability(worst, known[0]?.rule_credibility);
+      // An alert that is not confirmed is still worth a name.
+      const isFound = (worst !== null && worst >= 0.5) || state === "unconfirmed";
+      found.set(part.name, { worst: state === "unconfirmed" ? 1 : worst, told });
+      setAttribute(part.element, "data-open", state);
       for (const element of [part.element, part.words]) setAttribute(element, "data-step", step(worst));
       const names = part.parameters.join(", ") || "known";
-      setText(part.title, `${part.name}: ${part.parameters.length === 0 ? names : isOpen ? `${names}, ${told}` : t("part-probability-of-loss", names, told)}`);
+      setText(part.title, `${part.name}: ${part.parameters.length === 0 ? names : state ? `${names}, ${told}` : t("part-probability-of-loss", names, told)}`);
       if (part.label) {
-        const isFound = worst !== null && worst >= 0.5;
-        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst, worst === null && !isOpen ? "" : told) : "");
+        setText(part.label, part.parameters.length === 0 ? "" : this.namesAll || isFound ? part.text(worst === null && !state ? "" : told) : "");
       }
+      if (part.value) setText(part.value, isFound ? told : "");
     }
     this.#callOut(found);
     const health = new Map(sensors.map((sensor) => [sensor.channel, sensor.health]));
@@ -172,7 +178,7 @@ export class Drawing {
       const middle = (y0 + level(together.at(-1).ends[1])) / 2;
       const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;
       const name = isNamed ? s("text", { x: left - 10, y: middle, class: "aside", "dominant-baseline": "central" }, member.parts[0]) : null;
-      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (_, told) => told, name);
+      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], { label, text: (told) => told, name });
       floors.push(s("path", { class: storey >= NAMED_FROM || together.at(-1) === member ? "floor" : "floor thin", d: `M${left} ${y1}H${left + width}` }));
     }
     // Texts are in front of the floors, so that no line crosses them.
@@ -203,17 +209,19 @@ export class Drawing {
       const [from, to] = member.ends.map((end) => at(points[end]));
       const d = `M${from}L${to}`;
       const name = member.parameters.join(", ");
-      let label = null;
+      let [label, value] = [null, null];
       if (name && !named.has(name)) {
         named.add(name);
         const own = members.filter((other) => other.parameters.join(", ") === name).flatMap((other) => other.ends.map((end) => at(points[end])));
         const [x, y] = [0, 1].map((axis) => own.reduce((sum, one) => sum + one[axis], 0) / own.length);
         const isUpright = Math.abs(from[0] - to[0]) < Math.abs(from[1] - to[1]);
         label = s("text", { x: isUpright ? x + 10 : x, y: isUpright ? y + 20 : y - 12, class: isUpright ? "beside" : "above" });
-        labels.push(label);
-        taken.push(box(label, name));
+        // Below the name, so that it does not cover the name of the next part.
+        value = s("text", { x: label.getAttribute("x"), y: Number(label.getAttribute("y")) + (isUpright ? NAME_HEIGHT : 2 * NAME_HEIGHT + 4), class: label.getAttribute("class") });
+        labels.push(label, value);
+        taken.push(box(label, name), box(value, WIDEST_VALUE));
       }
-      this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], label, (worst, told) => (worst >= 0.5 ? `${name} ${told}` : name), null);
+      this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], { label, value, text: () => name });
     }
     this.#placeSensors(sensors, (point, count) => {
       const [x, y] = at(points[point]);
@@ -259,19 +267,23 @@ export class Drawing {
       const shape = { x, y: 40, width, height: 60 };
       const label = s("text", { x: x + width / 2, y: 70, class: "inside", "dominant-baseline": "central" });
       const name = s("text", { x: x + width / 2, y: 30, class: "over" }, member.parts.join(", "));
-      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], label, (_, told) => told, name);
+      this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], { label, text: (told) => told, name });
     }
     this.svg.append(...this.#parts.map(({ words }) => words));
     this.#placeSensors(sensors, (point, count) => [left(point) + 10 + 16 * count, 118], 0);
   }
 
-  #part(member, shapes, label, text, name) {
+  /**
+   * Adds a part. `label` shows `text` of its probability, `value` shows the probability of a finding,
+   * and `name` does not change.
+   */
+  #part(member, shapes, { label, text, name = null, value = null }) {
     const title = s("title", {});
     const parameter = member.parameters[0];
     const element = s("g", { class: parameter ? "part" : "part known", "data-part": member.parts.join(" ") }, title, shapes);
     const words = s("g", { class: "words" }, name, label);
     if (parameter) for (const one of [element, words]) one.addEventListener("click", () => this.choose(parameter));
-    this.#parts.push({ element, words, title, label, text, name: member.parts.join(", "), parameters: member.parameters });
+    this.#parts.push({ element, words, title, label, value, text, name: member.parts.join(", "), parameters: member.parameters });
     this.svg.append(element);
   }
 
@@ -322,7 +334,7 @@ function box(element, text) {
 function hatches() {
   const pattern = (id, distance) =>
     s("pattern", { id, width: distance, height: distance, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, s("path", { d: `M0 0V${distance}`, class: "hatch-line" }));
-  return s("defs", {}, pattern("hatch-3", 10), pattern("hatch-4", 6));
+  return s("defs", {}, pattern("hatch-2", 10), pattern("hatch-3", 6));
 }
 
 function ground(from, to, y) {
@@ -330,17 +342,17 @@ function ground(from, to, y) {
   return Array.from({ length: count }, (_, index) => s("path", { class: "ground", d: `M${from + 12 * index + 8} ${y}l-7 8` }));
 }
 
-function key({ drawing: { sensors }, has_model: hasModel }, note) {
-  const swatch = (index) => s("svg", { class: "swatch", viewBox: "0 0 22 14", "aria-hidden": "true" }, s("g", { class: "part", "data-step": index }, s("rect", { class: "fill", width: 22, height: 14 }), s("rect", { class: "hatch", width: 22, height: 14 })));
+function key({ drawing: { sensors }, has_model: hasModel, is_filtered: isFiltered }, note) {
+  const swatch = (index, open = null) => s("svg", { class: "swatch", viewBox: "0 0 22 14", "aria-hidden": "true" }, s("g", { class: "part", "data-step": index, "data-open": open }, s("rect", { class: "fill", width: 22, height: 14 }), s("rect", { class: "hatch", width: 22, height: 14 })));
   const steps = STEPS.map((one, index) => h("li", {}, swatch(index), one.text));
-  steps.push(h("li", {}, swatch(""), `${STATES.undecided.sign} ${STATES.undecided.word}`));
+  for (const state of ["undecided", "unconfirmed"]) steps.push(h("li", {}, swatch("", state), `${STATES[state].sign} ${STATES[state].word}`));
   const apart = sensors.filter((sensor) => sensor.point === null).map((sensor) => sensor.channel);
   return h(
     "figcaption",
     { class: "drawing-key" },
-    hasModel ? [h("span", {}, t("key-probability-of-loss")), h("ul", {}, steps)] : null,
+    isFiltered ? [h("span", {}, t("key-probability-of-loss")), h("ul", {}, steps)] : null,
     // A sign stays on the line of its word.
     h("span", {}, t("sensors-delivers-gone-or-silent-faulty-excluded").split("  ").flatMap((one) => [whole(one), " "])),
-    h("span", {}, note, apart.length > 0 ? t("not-drawn", apart.join(", ")) : null),
+    h("span", {}, hasModel && !isFiltered ? t("not-coloured") : null, note, apart.length > 0 ? t("not-drawn", apart.join(", ")) : null),
   );
 }

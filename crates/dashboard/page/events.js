@@ -1,9 +1,9 @@
 // The tab of the events: changes of alerts, and events of sensors, nodes and services, by time.
 
-import { h, keyed, setText } from "./dom.js";
+import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { samplesExport } from "./samples.js";
-import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, place, setSentence, time } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, natural, place, setSentence, time } from "./words.js";
 
 /** Kinds of events that the list can be limited to. */
 const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
@@ -31,21 +31,20 @@ export class EventsTab {
   }
 
   update({ events, changes }) {
-    const ofAlert = (change) => {
+    const ofAlert = ([change, ...others]) => {
       const { sign, word, level } = STATES[change.state];
-      return { key: `${change.parameter}/${change.state}`, time_ns: change.time_ns, about: change.parameter, what: t("alert-became", sign, word), why: change.why, level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
+      const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
+      return { key: `${about}/${change.state}`, time_ns: change.time_ns, about, what: t("alert-became", sign, word), why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => {
-      const path = report(this.page.name, subject);
       const isReport = kind === "earthquake-report";
       const level = (isReport && URGENCIES[what.split(": ")[1]]) || "learning";
-      // A button leads to the report, so the sentence needs no address at its end.
-      const isOfQuake = why.endsWith(path);
-      // The subject of an event of the monitoring is its state, which is no name.
-      const about = isOfQuake ? t("earthquake") : kind === "monitoring" ? t("monitoring") : subject;
-      return { key: `${subject}/${what}`, time_ns, about, what, why: isOfQuake ? why.slice(0, -path.length).trimEnd().replace(/:$/, "") : why, level, parameter: null, report: isReport ? subject : null };
+      return { key: `${subject}/${what}`, time_ns, what, ...eventWords({ kind, subject, why }), level, parameter: null, report: isReport ? subject : null };
     };
-    const all = [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
+    // A sensor that fails makes many parts undecided at once, for the same reason.
+    const reason = ({ parameter, state, time_ns, why }) => (state === "undecided" ? `${Math.floor(time_ns / 1e9)} ${why.replaceAll(parameter, "")}` : `${time_ns} ${parameter} ${state}`);
+    const together = grouped(changes, reason);
+    const all = [...together.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
     const shown = all.filter((event) => isOfKind(event, this.shown.value));
     this.none.hidden = shown.length > 0;
     setText(this.none, all.length > 0 ? t("no-event-of-this-kind") : t("none-since-the-dashboard-was-started"));
@@ -79,6 +78,15 @@ export class EventsTab {
     setText(name, parameter ? what : capitalised(what));
     return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why };
   }
+}
+
+/**
+ * Returns what an event is about, and its reason. The subject of an earthquake is the name of a report,
+ * and that of the monitoring is a state. A link leads to the report, so the sentence needs no address.
+ */
+export function eventWords({ kind, subject, why }) {
+  const about = kind.startsWith("earthquake") ? t("earthquake") : kind === "monitoring" ? t("monitoring") : subject;
+  return { about, why: why.replace(/:? ?\/events\/\S+\.html$/, "") };
 }
 
 /** Returns the address of a report of an earthquake, or of the list of all. */

@@ -1,16 +1,20 @@
 // A group of plots with a title. A plot is created as soon as it has data.
 
 import { h } from "./dom.js";
+import { t } from "./language.js";
 import { natural } from "./words.js";
 
 export class PlotGroup {
   #plots = new Map();
 
-  /** `names` is the order of the plots. Other plots have the natural order of their names. */
-  constructor(key, title, text, names = []) {
+  /**
+   * `names` is the order of the plots. Other plots have the natural order of their names. With
+   * `isFolded`, the plots are folded away at first.
+   */
+  constructor(key, title, text, names = [], isFolded = false) {
     this.names = names;
     this.holder = h("div", { class: "plots" });
-    this.element = h("section", { class: "group", id: `group-${key}`, hidden: true }, h("h2", {}, title), text ? h("p", { class: "group-text" }, text) : null, this.holder);
+    this.element = h("section", { class: "group", id: `group-${key}`, hidden: true }, h("h2", {}, title), text ? h("p", { class: "group-text" }, text) : null, isFolded ? h("details", { class: "routine" }, h("summary", {}, t("show-the-plots")), this.holder) : this.holder);
   }
 
   get plots() {

@@ -73,6 +73,7 @@ export class LastingTab {
       else link.removeAttribute("aria-current");
       setText(sign, LEVELS[level].sign);
       setText(state, judgement ? wordOf(judgement.word) : t("not-reported-yet"));
+      link.title = judgement?.word === "outside-experience" ? t("hint-outside-experience") : "";
     });
     const judgement = judgements.find(({ quantity }) => quantity === this.chosen);
     this.#show(judgement);

@@ -19,13 +19,15 @@ const [RADIUS, NAME, CHARACTER] = [10, 15, 8.2];
 /** Possible distances of the lines of the grid (degrees), and smallest distance on the screen (px). */
 const GRID = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30];
 const GRID_FROM = 110;
+/** Screens on which the map is folded at first. */
+const NARROW = "(max-width: 760px)";
 
 export class StructureMap {
   #known = "";
 
   constructor() {
     this.svg = s("svg", { class: "map-drawing", role: "group", "aria-label": t("map-of-the-structures") });
-    this.element = h("details", { class: "card map", open: true, hidden: true }, h("summary", {}, t("map")), this.svg);
+    this.element = h("details", { class: "card map", open: !matchMedia(NARROW).matches, hidden: true }, h("summary", {}, t("map")), this.svg);
     this.resized = new ResizeObserver(() => this.#draw());
     this.resized.observe(this.element);
   }

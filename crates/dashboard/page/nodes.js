@@ -24,7 +24,9 @@ export class NodeTable {
       const cells = HEADS.map((text, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { class: column >= 2 ? "number" : null, "data-head": text })));
       return { element: h("tr", {}, cells), cells };
     };
-    keyed(this.rows, names.filter((name) => nodes[name]), (name) => name, make, (row, name) => this.#fill(row, nodes[name]));
+    // Trouble first, otherwise the order of the structure file.
+    const isSound = (name) => Number(NODES[nodes[name].state].level !== "warning");
+    keyed(this.rows, names.filter((name) => nodes[name]).sort((a, b) => isSound(a) - isSound(b)), (name) => name, make, (row, name) => this.#fill(row, nodes[name]));
   }
 
   #fill({ element, cells }, node) {

@@ -6,10 +6,12 @@ import { PlotGroup } from "./groups.js";
 import { t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { COLUMNS, NOT_STIFFNESS, NO_RULE, SERVICES, isUndecided, judged, judgementWords, modeWords, place, probability, ratio, stateOf, step } from "./words.js";
+import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, isOpen, judged, judgedEstimate, judgementWords, modeWords, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
+/** Levels of the parts that are first in the table. */
+const TROUBLE = ["alarm", "warning", "notice"];
 
 export class NowTab {
   key = "now";
@@ -22,7 +24,11 @@ export class NowTab {
     this.drawing = new Drawing(about, page.choose);
     this.rows = h("tbody");
     this.ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
-    const heads = h("tr", {}, COLUMNS.parts.map((text) => h("th", { scope: "col" }, text)));
+    const losses = new Set(about.rules.map(({ loss }) => loss));
+    const [part, state, , interval, chance] = COLUMNS.parts;
+    const estimate = about.parameters.every(({ stiffness }) => stiffness) ? AXES.stiffness : AXES.ratio;
+    const titles = [part, state, estimate, interval, losses.size === 1 ? t("loss-probability-of-rule", percent([...losses][0], 0)) : chance];
+    const heads = h("tr", {}, titles.map((text) => h("th", { scope: "col" }, text)));
     const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": t("parts") };
     const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));
     this.search = searchField(about.parameters.length, t("find-a-part"), () => this.update(page.standing()));
@@ -32,7 +38,7 @@ export class NowTab {
     this.noJudgement = h("p", { class: "group-text" }, t("the-service-judge-has-not-reported-yet"));
     const lasting = h("section", { class: "card", id: "lasting", hidden: about.judged.length === 0 }, h("h2", {}, t("lasting-change")), this.noJudgement, this.judgements);
     this.modes = h("tbody");
-    const modeHeads = h("tr", {}, COLUMNS.modes.map((text) => h("th", { scope: "col" }, text)));
+    const modeHeads = h("tr", {}, COLUMNS.modes.map((text) => h("th", { scope: "col", title: HINTS[text] }, text)));
     const modeScroll = { class: "scroll", id: "modes", tabindex: "0", role: "region", "aria-label": t("natural-frequencies") };
     this.modeTable = h("div", modeScroll, h("table", { class: "sensors" }, h("thead", {}, modeHeads), this.modes));
     this.noMode = h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
@@ -49,11 +55,13 @@ export class NowTab {
     return [...(this.#worst ? [this.#worst.plot] : []), ...this.frequencies.plots];
   }
 
-  /** Shows the plot of the part with the highest probability of loss. */
+  /** Shows the plot of the part with the highest probability of loss, or without a filter the softest one. */
   attend({ worst }) {
     const { about, standing, points, span } = this.page;
+    const mean = ({ name }) => standing()?.parameters[name]?.mean ?? Infinity;
+    const softest = about.is_filtered ? null : about.parameters.filter(({ stiffness }) => stiffness).sort((a, b) => mean(a) - mean(b))[0];
     // Among sound parts the order changes constantly and means nothing.
-    const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (this.#worst?.name ?? about.parameters[0]?.name);
+    const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (softest?.name ?? this.#worst?.name ?? about.parameters[0]?.name);
     const parameter = about.parameters.find((parameter) => parameter.name === name);
     if (!parameter || this.#worst?.name === name) return;
     this.#worst?.plot.close();
@@ -71,16 +79,19 @@ export class NowTab {
       const state = alert ? stateOf(alert) : null;
       part.element.dataset.level = state?.level ?? "learning";
       part.state.title = alert?.unwatched?.why ?? "";
-      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
-      setText(part.mean, shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
-      setText(part.interval, shown ? t("range", ratio(shown.interval.low), ratio(shown.interval.high)) : "–");
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : this.page.about.judged.length > 0 && !this.page.about.is_filtered ? t("not-judged-within-seconds") : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
       const loss = standing.losses[parameter.name];
+      // Without a finding, the interval of the filter would contradict the probability beside it.
+      const own = isOpen(alert) && parameter.stiffness && loss ? judgedEstimate({ loss: loss.loss, ...loss.interval }, loss.reference) : null;
+      const { low, high } = own ?? shown?.interval ?? {};
+      setText(part.mean, own ? ratio(own.mean) : shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
+      setText(part.interval, shown ? t("range", ratio(low), ratio(high)) : "–");
       const p = parameter.stiffness ? loss?.probability_of_loss : null;
       const told = p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility);
       // The number of a part without a decision is no finding, so it has no bar.
-      const isOpen = isUndecided(alert) && p != null;
-      setText(part.text, isOpen ? t("not-decided", told) : told);
-      part.bar.hidden = isOpen || p === null || p === undefined;
+      const isFound = p != null && !isOpen(alert);
+      setText(part.text, p == null ? told : openWords(alert, told));
+      part.bar.hidden = !isFound;
       part.bar.dataset.step = step(p) ?? "";
       part.bar.style.setProperty("--share", p ?? 0);
     };
@@ -89,7 +100,12 @@ export class NowTab {
       const element = h("tr", {}, h("th", { scope: "row" }, h("a", { href: place(this.page.name, parameter.name) }, parameter.name)), state, mean, interval, h("td", {}, bar, text));
       return { element, state, mean, interval, text, bar };
     };
-    const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name));
+    // Trouble first, otherwise the order of the structure file.
+    const rank = ({ name }) => {
+      const alert = standing.alerts.find(({ parameter }) => parameter === name);
+      return TROUBLE.indexOf(alert ? stateOf(alert).level : "") + 1 || TROUBLE.length + 1;
+    };
+    const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name)).sort((a, b) => rank(a) - rank(b));
     keyed(this.rows, found, (parameter) => parameter.name, make, update);
     this.#showJudgements(standing);
     this.#showModes(standing);

@@ -10,6 +10,8 @@ import { HEALTH, LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fi
 
 /** Maximum number of sensors that a card names. */
 const MOST_SENSORS = 4;
+/** Lag above which data are not new (s). The server warns from the same one. */
+const LATE_S = 10;
 
 export class OverviewPage {
   constructor(connection) {
@@ -21,7 +23,7 @@ export class OverviewPage {
     this.tools = h("div", { class: "tools" });
     this.reported = h("ol", { class: "reported" });
     this.quakes = h("section", { class: "card", "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, t("after-the-earthquake")), this.reported);
-    this.element = h("div", { class: "overview" }, h("h1", {}, t("structures")), this.summary, this.quakes, this.map.element, this.tools, this.list, this.none);
+    this.element = h("div", { class: "overview" }, h("h1", {}, t("structures")), this.summary, this.quakes, this.tools, this.list, this.none, this.map.element);
     this.lines = new Sparklines();
     connection.listen(null);
     this.leave = connection.on("overview", (message) => this.show(message));
@@ -45,7 +47,10 @@ export class OverviewPage {
     this.structures = structures;
     this.quakes.hidden = shaken.length === 0;
     keyed(this.reported, shaken, ({ name }) => name, makeReported, updateReported);
-    this.list.classList.toggle("is-many", structures.length > SEARCH_ABOVE);
+    const isMany = structures.length > SEARCH_ABOVE;
+    this.list.classList.toggle("is-many", isMany);
+    // Few cards fit on a screen, and the first alarm must be on it. Many are found on the map first.
+    if (isMany && this.map.element.nextSibling !== this.tools) this.tools.before(this.map.element);
     const found = structures.filter(({ name, description, sentence, level }) => this.search.finds(`${name} ${description} ${sentence} ${LEVELS[level].word}`));
     this.map.show(found);
     this.none.hidden = found.length > 0 || structures.length === 0;
@@ -102,7 +107,8 @@ function byUrgency(a, b) {
   return rank(a) - rank(b) || (b.worst?.loss ?? 0) - (a.worst?.loss ?? 0) || natural(a.name, b.name);
 }
 
-function makeReported() {
+/** Creates an entry of the list of reports of earthquakes. */
+export function makeReported() {
   const badge = h("span", { class: "badge" });
   const link = h("a", {});
   const when = h("time");
@@ -111,13 +117,14 @@ function makeReported() {
   return { element: h("li", {}, h("div", { class: "card-head" }, badge, link, when), result, later), badge, link, when, result, later };
 }
 
-function updateReported({ element, badge, link, when, result, later: last }, { name, earthquake }) {
+/** Shows a report of an earthquake. `title` is the text of its link. */
+export function updateReported({ element, badge, link, when, result, later: last }, { name, earthquake }, title = name) {
   const { urgency, later } = earthquake;
   const level = URGENCIES[urgency] ?? "learning";
   element.dataset.level = level;
   setText(badge, `${LEVELS[level].sign} ${urgencyWord(urgency)}`);
   link.href = report(name, earthquake.report);
-  setText(link, name);
+  setText(link, title);
   setText(when, time(earthquake.time_s));
   setSentence(result, earthquake.result);
   last.hidden = !later;
@@ -137,7 +144,8 @@ function makeCard(structure) {
   const sign = h("span", { class: "sign", "aria-hidden": "true" });
   const word = h("span", { class: "word" });
   const sentence = h("p", { class: "sentence", lang: SERVICES });
-  const now = h("p", { class: "now", lang: SERVICES });
+  const now = h("p", { class: "now", lang: SERVICES, hidden: true });
+  const also = h("p", { class: "also", lang: SERVICES });
   const stale = h("span", { class: "badge", "data-level": "stale" });
   const seen = h("span", { class: "badge", "data-level": "notice" });
   const trend = h("canvas", { class: "trend", role: "img", hidden: true });
@@ -153,9 +161,10 @@ function makeCard(structure) {
       h("h2", {}, h("a", { href: place(structure.name) }, structure.name)),
       trend,
     ),
-    h("p", { class: "description" }, structure.description),
+    h("p", { class: "description" }, [structure.description, structure.place].filter(Boolean).join(" · ")),
     sentence,
     now,
+    also,
     h(
       "dl",
       { class: "facts" },
@@ -169,46 +178,57 @@ function makeCard(structure) {
       fact("alert", t("last-alert")),
     ),
   );
-  return { element, fields, sign, word, sentence, now, seen, stale, trend };
+  return { element, fields, sign, word, sentence, now, also, seen, stale, trend };
 }
 
-function updateCard({ element, fields, sign, word, sentence, now, seen, stale }, structure) {
+function updateCard({ element, fields, sign, word, sentence, now, also, seen, stale }, structure) {
   const level = LEVELS[structure.level];
   element.dataset.level = structure.level;
   setText(sign, level.sign);
   setText(word, level.word);
   setSentence(sentence, structure.sentence);
-  showNow(now, structure.now, structure.age_s);
+  showNow(now, structure);
+  showAlso(also, structure);
   showAcknowledged(seen, structure);
   showStale(stale, structure);
   const { worst, last_alert: last, sensors } = structure;
   setText(fields.worst, worst ? `${worst.parameter}: ${ratio(worst.mean)}\u00a0±\u00a0${ratio(worst.std)}` : "–");
   const chance = probability(worst?.probability_of_loss, worst?.credibility);
   const asked = worst ? t("for-more-than", percent(worst.rule_loss, 0)) : "";
-  setText(fields.probability, worst ? (worst.undecided ? t("not-decided", chance) : chance) + asked : "–");
-  const [named, further] = [sensors.troubled.slice(0, MOST_SENSORS), sensors.troubled.length - MOST_SENSORS];
-  const more = further > 0 ? t("and-more", further) : "";
-  const troubled = named.length > 0 ? t("not", named.join(", ") + more) : "";
-  setText(fields.sensors, structure.ended ? t("record-has-ended") : t("share", sensors.alive, sensors.total) + troubled);
+  setText(fields.probability, worst ? (worst.undecided ? t("not-decided", chance) : worst.unconfirmed ? t("open-state", STATES.unconfirmed.word, chance) : chance) + asked : "–");
+  setText(fields.sensors, structure.ended ? t("record-has-ended") : t("share", sensors.alive, sensors.total) + troubledWords(sensors));
   fields.sensors.title = sensors.troubled.join(", ");
-  // Natural frequencies alone have no worst part.
-  for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.has_model;
-  setText(fields.monitoring, structure.has_model ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
+  // Without a filter, no part is judged within seconds.
+  for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.is_filtered;
+  setText(fields.monitoring, structure.is_filtered ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
   setText(fields.fit, fitWord(structure.fit));
   setText(fields.lag.previousElementSibling, structure.replayed ? t("origin") : t("lag"));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
   setSentence(fields.age, structure.replayed ? t("age-measured", age(structure), time(structure.time_s)) : age(structure));
-  const at = last && structure.time_s ? t("before-the-newest-data", duration(structure.time_s - last.time_s)) : "";
-  setText(fields.alert, last ? `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}${at}` : t("none"));
+  setSentence(fields.alert, last ? t("at-time", `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}`, time(last.time_s)) : t("none"));
+}
+
+/** Returns the names of the sensors that need attention, behind the number of those that deliver. */
+export function troubledWords({ troubled }) {
+  const [named, further] = [troubled.slice(0, MOST_SENSORS), troubled.length - MOST_SENSORS];
+  return named.length > 0 ? t("not", named.join(", ") + (further > 0 ? t("and-more", further) : "")) : "";
+}
+
+/** Shows what else needs attention while an alert is raised. */
+export function showAlso(line, { also }) {
+  line.hidden = !also;
+  if (also) setSentence(line, also);
 }
 
 /**
  * Shows the loss by the newest value beside the sentence of an alert, which describes the time of
  * its change.
  */
-export function showNow(line, now, age_s) {
-  line.hidden = !now;
+export function showNow(line, { now, age_s, level }) {
+  // The line comes and goes with the values. During an alarm its place remains, so that nothing moves.
+  line.hidden = !now && (line.hidden || level !== "alarm");
+  line.style.visibility = now ? "" : "hidden";
   if (now) setText(line, `${age_s === null || age_s > 3 ? t("by-the-last-value") : t("now")}: ${withMinus(now)}`);
 }
 
@@ -228,7 +248,8 @@ export function showStale(badge, { age_s, level, ended }) {
 }
 
 /** Returns the age of a structure's data in words. */
-export function age({ age_s }) {
+export function age({ age_s, lag_s }) {
   if (age_s === null) return t("none-since-this-page-was-started");
+  if (age_s < 1.5 && lag_s > LATE_S) return t("is-behind", duration(lag_s));
   return age_s < 1.5 ? t("new") : t("old", duration(age_s));
 }

@@ -2,7 +2,7 @@
 
 import { t } from "./language.js";
 import { COLOURS, Plot, css, look, padded } from "./plot.js";
-import { AXES, STATES, isUndecided, number, percent, probability, ratio, unit } from "./words.js";
+import { AXES, STATES, isOpen, judgedEstimate, number, openWords, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
 const HALF_WIDTHS = [
@@ -56,9 +56,10 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
       names: [name, lossName],
       rows: (columns) => {
         const estimates = columns.get(name) ?? [[], [], []];
-        return [...meanWithBands(estimates), latest(columns.get(lossName), 4, estimates[0])];
+        // Behind the bands: loss, its interval, and its probability.
+        return [...meanWithBands(estimates), ...[1, 2, 3, 4].map((column) => latest(columns.get(lossName), column, estimates[0]))];
       },
-      series: () => [...bandSeries(), { show: false }],
+      series: () => [...bandSeries(), ...[1, 2, 3, 4].map(() => ({ show: false }))],
       bands: bandFills,
       // Keeps the threshold in view, and prevents the wide bands of the first seconds from
       // flattening the rest.
@@ -74,13 +75,16 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
         return shown([low - room, high + room]);
       },
       readout: (data, at) => {
-        const [low, high] = [data[4][at], data[5][at]];
         if (data[1][at] === null) return t("no-data");
         const loss = known();
-        const told = probability(data[8][at], loss?.rule_credibility);
+        const [lost, least, most, chance] = [8, 9, 10, 11].map((column) => data[column][at]);
+        const told = probability(chance, loss?.rule_credibility);
         const alert = standing()?.alerts.find((alert) => alert.parameter === parameter.name);
-        const asked = loss && parameter.stiffness && data[8][at] !== null ? t("p-loss", percent(loss.rule_loss, 0), isUndecided(alert) ? t("not-decided", told) : told) : "";
-        return t("95-per-cent-to", ratio(data[1][at]), ratio(low), ratio(high), asked);
+        const isJudged = loss && parameter.stiffness && chance !== null;
+        const asked = isJudged ? t("p-loss", percent(loss.rule_loss, 0), openWords(alert, told)) : "";
+        // Without a finding, the interval of the filter would contradict the probability beside it.
+        const { mean, low, high } = isJudged && isOpen(alert) ? judgedEstimate({ loss: lost, low: least, high: most }, loss.reference) : { mean: data[1][at], low: data[4][at], high: data[5][at] };
+        return t("95-per-cent-to", ratio(mean), ratio(low), ratio(high), asked);
       },
       marks,
     },
@@ -103,20 +107,23 @@ function quantile(values, share) {
   return [...values].sort((a, b) => a - b)[Math.round(share * (values.length - 1))];
 }
 
-/** Creates the plot of a noise level: the variance with bands. */
+/** Creates the plot of a noise level: the standard deviation with bands, or a ratio without a unit. */
 export function noisePlot(level, points, span) {
   const name = `noise/${level.name}`;
-  const square = level.unit ? t("variance", unit(level.unit)) : AXES.damping;
+  const root = (column) => (level.unit ? column.map((variance) => (variance === null ? null : Math.sqrt(Math.max(variance, 0)))) : column);
   return new Plot(
     {
       title: t("noise-of", level.name),
       file: `noise-${level.name}`,
-      unit: square,
+      unit: level.unit ? t("standard-deviation-of-a-sample", unit(level.unit)) : AXES.damping,
       names: [name],
-      rows: (columns) => meanWithBands(columns.get(name)),
+      rows: (columns) => {
+        const [times, ...values] = meanWithBands(columns.get(name));
+        return [times, ...values.map(root)];
+      },
       series: bandSeries,
       bands: bandFills,
-      readout: (data, at) => (data[1][at] === null ? t("no-data") : t("standard-deviation-of-one-sample", number(data[1][at]), number(Math.sqrt(Math.max(data[1][at], 0))), unit(level.unit))),
+      readout: (data, at) => (data[1][at] === null ? t("no-data") : level.unit ? t("standard-deviation-of-one-sample", number(data[1][at]), unit(level.unit)) : number(data[1][at])),
     },
     points,
     span,

@@ -3,6 +3,7 @@
 
 import { chart, rangeOf } from "./chart.js";
 import { h, setText } from "./dom.js";
+import { eventWords } from "./events.js";
 import { t } from "./language.js";
 import { searchField } from "./search.js";
 import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
@@ -75,7 +76,8 @@ export class ReportPage {
     this.wanted = chosen.length > 0 ? chosen : names;
     const all = await Promise.all(this.wanted.map(async (name) => (await fetch(`/api/structures/${encodeURIComponent(name)}`)).json()));
     if (!this.#isOpen) return;
-    const reported = all.map((one) => ({ ...one, changes: changes.filter(({ structure }) => structure === one.about.name) }));
+    const urgency = ({ overview }) => Object.keys(LEVELS).indexOf(overview.level);
+    const reported = all.map((one) => ({ ...one, changes: changes.filter(({ structure }) => structure === one.about.name) })).sort((a, b) => urgency(a) - urgency(b) || natural(a.about.name, b.about.name));
     const newest = reported.map(({ overview }) => overview.time_s).filter((time) => time !== null);
     this.newest_s = newest.length > 0 ? Math.max(...newest) : null;
     if (this.newest_s === null) {
@@ -163,7 +165,7 @@ async function fetchPoints({ name, parameters, modes, conditions }, from_s, to_s
 /** Returns the changes of alerts and the events, the oldest first. */
 function eventsOf({ events }, changes) {
   const ofAlert = ({ parameter, state, time_ns, why, acknowledged_by: who, note }) => ({ time_s: time_ns / 1e9, about: parameter, what: `${STATES[state].sign} ${STATES[state].word}`, why: who ? t("change-seen-by", why, who, note ? `: ${note}` : "") : why, level: STATES[state].level, isListed: LISTED.includes(state) });
-  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, about: kind === "monitoring" ? t("monitoring") : subject, what, why, level: "learning", isListed: true, lang: SERVICES });
+  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
 }
 
@@ -196,6 +198,7 @@ function head(reported, { from_s, to_s }, shown) {
 
 /** Everything about one structure. */
 function section({ about, overview, standing, changes }, series, period, shown) {
+  if (overview.time_s === null) return h("article", { class: "report-structure is-empty", "data-structure": about.name, "data-level": overview.level }, h("h2", {}, about.name), sentence(h("p", { lang: SERVICES }), overview.sentence));
   const isWithin = ({ time_s }) => time_s >= period.from_s && time_s <= period.to_s;
   const happened = eventsOf(standing, []).filter(isWithin);
   const all = eventsOf({ events: [] }, changes).filter(isWithin);
@@ -204,7 +207,7 @@ function section({ about, overview, standing, changes }, series, period, shown) 
   const level = LEVELS[overview.level];
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
   const { sensors } = overview;
-  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.has_model ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
+  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.is_filtered ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only")])];
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
   const none = (text) => h("p", { class: "group-text" }, text);
   const events = (list, text) => (list.length === 0 ? none(text) : table(COLUMNS.events.slice(0, 3), list.map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));

@@ -9,7 +9,10 @@ import { searchField } from "./search.js";
 import { Scale } from "./span.js";
 import { Spectra, spectrumPlot } from "./spectra.js";
 import { spectrogramPlot } from "./spectrogram.js";
-import { COLUMNS, HEALTH, clockWords, compared, conditionWords, levelWords, number, percent, time, unit, wordOf } from "./words.js";
+import { COLUMNS, HEALTH, HINTS, clockWords, compared, conditionWords, levelWords, number, percent, time, unit, wordOf } from "./words.js";
+
+/** Number of sensors above which the plots of outliers are folded away. */
+const FOLDED_ABOVE = 6;
 
 export class SensorsTab {
   key = "sensors";
@@ -23,7 +26,8 @@ export class SensorsTab {
     const { about } = page;
     this.sensors = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, sensor]));
     this.rows = h("tbody");
-    const heads = h("tr", {}, COLUMNS.sensors.map((text) => h("th", { scope: "col" }, text)));
+    const heads = h("tr", {}, COLUMNS.sensors.map((text) => h("th", { scope: "col", title: HINTS[text] }, text)));
+    this.heads = [...heads.children];
     const scroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("sensors") };
     this.search = searchField(this.sensors.size, t("find-a-sensor"), () => this.update(page.standing()));
     const rate = t("all-channels-have-samples-per-second", number(about.sampling_rate_hz));
@@ -38,7 +42,7 @@ export class SensorsTab {
       waveforms: new PlotGroup("waveforms", t("waveforms"), t("the-samples-between-the-minimum-and-the"), channels),
       spectra: new PlotGroup("spectra", t("spectra"), t("power-spectral-density-of-about-the-last"), channels),
       nodes: new PlotGroup("nodes", t("distributed-nodes"), t("a-node-far-beyond-the-red-dashed")),
-      outliers: new PlotGroup("outliers", t("outliers")),
+      outliers: new PlotGroup("outliers", t("outliers"), "", [], this.sensors.size > FOLDED_ABOVE),
       conditions: new PlotGroup("conditions", t("conditions"), t("slow-quantities-that-instruments-measure-beside-the")),
     };
     this.groups.nodes.holder.before(this.nodes.element);
@@ -89,12 +93,15 @@ export class SensorsTab {
     });
     if (Object.keys(nodes).length > 0) this.nodes.update(this.#nodeNames(), nodes);
     const isReported = services.some(({ service, status }) => service === "ingest" && status);
-    const found = sensors.filter(({ channel, node }) => this.search.finds(`${channel} ${node}`));
+    // Trouble first, otherwise the order of the structure file.
+    const isSound = ({ health }) => Number(HEALTH[health].level !== "warning");
+    const found = sensors.filter(({ channel, node }) => this.search.finds(`${channel} ${node}`)).sort((a, b) => isSound(a) - isSound(b));
     const make = () => {
       const cells = COLUMNS.sensors.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head })));
       return { element: h("tr", {}, cells), cells };
     };
     keyed(this.rows, found, (sensor) => sensor.channel, make, (part, sensor) => this.#fill(part, sensor, outliers[sensor.channel], isReported));
+    this.#hideEmptyColumns();
     this.#showLevels(found);
     const names = new Set(found.map(({ channel }) => channel));
     for (const group of [this.groups.waveforms, this.groups.spectra]) group.show(names);
@@ -172,6 +179,15 @@ export class SensorsTab {
     texts.forEach((text, column) => {
       setText(cells[column], text);
       cells[column].classList.toggle("is-none", text === "–");
+    });
+  }
+
+  #hideEmptyColumns() {
+    const rows = [...this.rows.children];
+    this.heads.forEach((head, column) => {
+      const cells = rows.map((row) => row.children[column]);
+      const isEmpty = rows.length > 0 && cells.every(({ textContent }) => textContent === "–");
+      for (const cell of [head, ...cells]) cell.hidden = isEmpty;
     });
   }
 

@@ -8,7 +8,7 @@ import { t } from "./language.js";
 import { LastingTab } from "./lasting.js";
 import { ModelTab } from "./model.js";
 import { NowTab } from "./now.js";
-import { age, showAcknowledged, showNow, showStale } from "./overview.js";
+import { age, makeReported, showAcknowledged, showAlso, showNow, showStale, troubledWords, updateReported } from "./overview.js";
 import { ParametersTab } from "./parameters.js";
 import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
@@ -118,8 +118,8 @@ export class StructurePage {
       choose: (parameter) => (location.hash = place(this.name, parameter)),
       changed: () => this.#remember(),
     };
-    const { has_model: hasModel } = this.about;
-    this.tabs = [new NowTab(page), ...(hasModel ? [new ParametersTab(page)] : []), ...(this.about.parameters.length + this.about.modes.length > 0 ? [new CompareTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(hasModel ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
+    const { is_filtered: isFiltered } = this.about;
+    this.tabs = [new NowTab(page), ...(this.about.has_model ? [new ParametersTab(page)] : []), ...(this.about.parameters.length + this.about.modes.length > 0 ? [new CompareTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(isFiltered ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
     if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), t("views-of", this.name), (key) => this.#open(key));
     this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), {
@@ -172,17 +172,20 @@ export class StructurePage {
     const { sensors } = overview;
     const raised = (this.#standing?.alerts ?? []).filter(canBeSeen);
     const badge = (name) => h("span", { class: "badge", "data-level": name });
-    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
+    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
     const { parts } = this;
-    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.now, parts.actions, parts.facts);
+    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.actions, parts.now, parts.also, parts.quakes, parts.facts);
     setText(parts.badge, `${level.sign} ${level.word}`);
     setSentence(parts.sentence, overview.sentence);
-    showNow(parts.now, overview.now, overview.age_s);
+    showNow(parts.now, overview);
+    showAlso(parts.also, overview);
+    keyed(parts.quakes, overview.earthquake ? [overview] : [], ({ name }) => name, makeReported, (part, one) => updateReported(part, one, t("earthquake-report")));
     showAcknowledged(parts.seen, overview);
     showStale(parts.stale, overview);
-    const alive = overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total);
-    const facts = [t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), alive, ...(overview.has_model ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", fitWord(overview.fit))] : [t("no-model-natural-frequencies-only")])];
-    keyed(parts.facts, facts, (text) => facts.indexOf(text), (text) => ({ element: text === alive ? h("a", { href: sensorsOf(this.name) }) : h("span") }), ({ element }, text) => {
+    const alive = overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total) + troubledWords(sensors);
+    const followed = overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only");
+    const facts = [...(overview.place ? [overview.place] : []), t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), alive, ...(overview.is_filtered ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", overview.fit ? fitWord(overview.fit) : t("not-judged-by-the-filter"))] : [followed])];
+    keyed(parts.facts, facts, (text) => `${facts.indexOf(text)} ${text === alive}`, (text) => ({ element: text === alive ? h("a", { href: sensorsOf(this.name) }) : h("span") }), ({ element }, text) => {
       setSentence(element, text);
       // The sentence names only some of many.
       if (text === alive) element.title = sensors.troubled.join(", ");

@@ -34,6 +34,9 @@ export const COLUMNS = {
   rules: [t("parameters"), t("loss"), t("probability-required"), t("duration-required")],
 };
 
+/** Explanations of column titles. */
+export const HINTS = { [t("epoch-until")]: t("hint-epoch"), [t("sampling-instant")]: t("hint-sampling-instant"), [t("compared-with-the-others")]: t("hint-compared") };
+
 /** Titles of the axes. All of these quantities have no unit. */
 export const AXES = {
   stiffness: t("stiffness-design-stiffness"),
@@ -122,6 +125,24 @@ export function isUndecided(alert) {
   return alert?.state === "undecided";
 }
 
+/** Returns whether the newest probability of loss of a part is no finding: its alert is undecided or not confirmed. */
+export function isOpen(alert) {
+  return isUndecided(alert) || alert?.state === "unconfirmed";
+}
+
+/** Returns a probability behind the state of an alert without a finding, or else the probability alone. */
+export function openWords(alert, told) {
+  return isOpen(alert) ? t("open-state", STATES[alert.state].word, told) : told;
+}
+
+/**
+ * Returns the estimate of a part that belongs to its probability of loss, as the alert judges it. Its
+ * interval contains the uncertainty of the reference and is wider than that of the filter.
+ */
+export function judgedEstimate({ loss, low, high }, reference) {
+  return { mean: (1 - loss) * reference, low: (1 - high) * reference, high: (1 - low) * reference };
+}
+
 /** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);
@@ -134,8 +155,7 @@ export function fitWord(verdict) {
 
 /** Steps of the probability of loss, shared by the drawing and its key. */
 export const STEPS = [
-  { below: 0.05, text: t("below-5-per-cent") },
-  { below: 0.5, text: t("5-to-50-per-cent") },
+  { below: 0.5, text: t("below-50-per-cent") },
   { below: 0.95, text: t("50-to-95-per-cent") },
   { below: 0.99, text: t("95-to-99-per-cent") },
   { below: Infinity, text: t("99-per-cent-and-above") },
@@ -250,7 +270,7 @@ const FAULTS = {
 /** Returns how a channel compares with the others, in the columns of the table of sensors. */
 export function compared(channel) {
   if (!channel || channel.gain === null) return { relation: "–", fault: "–" };
-  const factor = t("factor-delay-ms", typeset(channel.gain.toFixed(2)), typeset(String(Math.round(1000 * channel.delay_s) || 0)));
+  const factor = t("factor-delay-ms", typeset(channel.gain.toFixed(2)), Math.abs(1000 * channel.delay_s).toFixed(0), channel.delay_s < 0 ? t("before") : t("after"));
   return { relation: channel.fault ? FAULTS[channel.fault](channel) : factor, fault: probability(channel.probability) };
 }
 
@@ -297,7 +317,7 @@ export function modeWords({ mode, time_ns: end, state, partner, estimate, presen
 }
 
 /** Levels of the words of a judgement. The others say nothing about the structure. */
-const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm" };
+const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "warning", "learned-away": "warning" };
 
 /** Returns the level, sign and words of the judgement of a quantity. */
 export function judgementWords({ word: judged, sentence, change, seen, epoch_ns: epoch, measured }) {

@@ -13,8 +13,11 @@ pub(crate) struct About {
     pub(crate) coordinates: Option<Coordinates>,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
-    /// Whether there is a model to identify. Without one, only natural frequencies are followed.
+    /// Whether there is a model. Without one, only natural frequencies are followed.
     pub(crate) has_model: bool,
+    /// Whether a filter estimates the parts of the model from every frame, so that alerts judge them
+    /// within seconds. Otherwise there is no model, or natural frequencies update it.
+    pub(crate) is_filtered: bool,
     /// Whether nodes identify the structure from their own samples and a station fuses the results.
     pub(crate) distributed: bool,
     pub(crate) parameters: Vec<AboutParameter>,
@@ -28,7 +31,7 @@ pub(crate) struct About {
     pub(crate) modes: Vec<AboutMode>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
-    /// Index of each observed channel in the drawing's list of sensors. Without a model, those from
+    /// Index of each observed channel in the drawing's list of sensors. Without a filter, those from
     /// which modes are identified.
     #[serde(skip)]
     pub(crate) observed: Vec<usize>,
@@ -129,7 +132,8 @@ impl About {
             coordinates: structure.coordinates(),
             sampling_rate_hz: structure.sampling_rate_hz(),
             display_rate_hz: structure.display_rate_hz(),
-            has_model: structure.is_filtered(),
+            has_model: structure.has_model(),
+            is_filtered: structure.is_filtered(),
             distributed: structure.fusion().is_some(),
             parameters: parameters.collect(),
             noise: noise.collect(),

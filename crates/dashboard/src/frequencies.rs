@@ -3,7 +3,7 @@
 
 use crate::overview::Level;
 use crate::store::Store;
-use spandrel_bus::{JudgementState, ModeState};
+use spandrel_bus::{JudgementDisplay, JudgementState, ModeState};
 
 /// Returns the level and the sentence of a structure without a model that gives no concern.
 pub(crate) fn attention(store: &Store) -> (Level, String) {
@@ -46,12 +46,15 @@ pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
     let changed = store.state.judgements.values();
     let changed = changed.filter(|judgement| judgement.change.is_some());
     let mut concerns: Vec<(Level, String)> = changed
-        .map(|judgement| match judgement.seen {
-            Some(_) => (Level::Notice, judgement.sentence.clone()),
-            None => (Level::Warning, judgement.sentence.clone()),
+        .map(|judgement| {
+            let level = match judgement.seen {
+                Some(_) => Level::Notice,
+                None => Level::Warning,
+            };
+            (level, lasting(store, judgement))
         })
         .collect();
-    if store.about.has_model {
+    if store.about.is_filtered {
         return concerns;
     }
     let modes = store.state.modes.values();
@@ -67,6 +70,26 @@ pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
         concerns.push((Level::Warning, sentence));
     }
     concerns
+}
+
+/// Returns the sentence of a lasting change, with what its brackets mean and how old it is.
+fn lasting(store: &Store, judgement: &JudgementDisplay) -> String {
+    let sentence = judgement.sentence.trim_end_matches('.');
+    let since_epoch = store
+        .state
+        .time_ns
+        .zip(judgement.epoch_ns)
+        .map(|(now_ns, epoch_ns)| {
+            let minutes = now_ns.saturating_sub(epoch_ns).max(0) / 60_000_000_000;
+            match minutes {
+                0..120 => format!("; last epoch {minutes} min before the newest data"),
+                _ => format!("; last epoch {} h before the newest data", minutes / 60),
+            }
+        });
+    format!(
+        "lasting change (95 % interval in brackets): {sentence}{}",
+        since_epoch.unwrap_or_default()
+    )
 }
 
 #[cfg(test)]
@@ -106,6 +129,14 @@ mod tests {
             store.handle(ingested(second));
         }
         store
+    }
+
+    /// Returns the sentence of a loss whose last epoch ended `minutes` before the newest data.
+    fn told(quantity: &str, minutes: u32) -> String {
+        format!(
+            "lasting change (95 % interval in brackets): {quantity} has lost 5.0 % of stiffness \
+             [4.0, 6.0]; last epoch {minutes} min before the newest data"
+        )
     }
 
     fn found(store: &Store) -> (Level, String) {
@@ -159,8 +190,8 @@ mod tests {
         let mut store = demo_with_air();
         hear(&mut store, "storey-2", 1, 0.95, 0.0);
         let changed = lasting_loss("storey-2");
-        store.handle(Input::Judgement(changed.clone()));
-        assert_eq!(found(&store), (Level::Warning, changed.sentence.clone()));
+        store.handle(Input::Judgement(changed));
+        assert_eq!(found(&store), (Level::Warning, told("storey-2", 0)));
     }
 
     #[test]
@@ -169,7 +200,7 @@ mod tests {
         store.handle(Input::Mode(Box::new(mode("sway-1", 600))));
         let changed = lasting_loss("sway-1");
         store.handle(Input::Judgement(changed.clone()));
-        assert_eq!(found(&store), (Level::Warning, changed.sentence.clone()));
+        assert_eq!(found(&store), (Level::Warning, told("sway-1", 2)));
         let seen = ChangeSeen {
             who: "Ada".to_owned(),
             text: "new asphalt".to_owned(),
@@ -179,7 +210,7 @@ mod tests {
             seen: Some(seen),
             ..changed.clone()
         }));
-        assert_eq!(found(&store), (Level::Notice, changed.sentence.clone()));
+        assert_eq!(found(&store), (Level::Notice, told("sway-1", 2)));
         store.handle(Input::Judgement(JudgementDisplay {
             change: None,
             state: JudgementState::Judged,

@@ -42,7 +42,7 @@ pub(crate) async fn ready(State(server): State<Arc<Server>>) -> Response {
 /// Estimates come from ingest and identify, or in distributed identification from the station.
 fn has_all(store: &Store) -> bool {
     let has = |wanted: Service| store.state.has(wanted);
-    if !store.about.has_model {
+    if !store.about.is_filtered {
         return has(Service::Ingest) && has(Service::Modes);
     }
     let estimates = has(Service::Fuse) || (has(Service::Ingest) && has(Service::Identify));

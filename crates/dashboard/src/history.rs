@@ -191,7 +191,10 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
         let found = store.series(name);
         let first_ns = found.and_then(Series::first_ns);
         let mut points = request.points;
-        if has_history && request.from_ns < first_ns.unwrap_or(i64::MAX) {
+        if has_history
+            && name.kind.is_in_history()
+            && request.from_ns < first_ns.unwrap_or(i64::MAX)
+        {
             let query = before(request, name.kind, first_ns);
             // The remaining points are for the data stored here.
             points = (points - query.points).max(1);

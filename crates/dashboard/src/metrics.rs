@@ -357,7 +357,7 @@ impl Metrics {
         let monitoring = store.state.monitoring();
         let state = monitoring.map_or(MonitoringState::Blind, |display| display.state);
         let reported = MonitoringState::ALL.into_iter();
-        for other in reported.filter(|_| store.about.has_model) {
+        for other in reported.filter(|_| store.about.is_filtered) {
             set(
                 &self.monitoring,
                 "state",

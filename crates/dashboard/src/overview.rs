@@ -3,13 +3,14 @@
 use crate::frequencies;
 use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
+use crate::view::present_loss;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, FitVerdict, MonitoringDisplay, MonitoringState,
-    ReportPage, Service, Standing, UndecidedBecause,
+    AlertMessage, AlertState, Event, EventKind, FitVerdict, LossDisplay, MonitoringDisplay,
+    MonitoringState, ReportPage, Service, Standing, UndecidedBecause,
 };
 use spandrel_earthquake::Urgency;
-use spandrel_earthquake::urgency::{Dated, ranking};
+use spandrel_earthquake::urgency::{Dated, peak_in, ranking};
 use spandrel_structure::Coordinates;
 use std::time::Duration;
 
@@ -17,6 +18,10 @@ use std::time::Duration;
 const SENSORS_NAMED: usize = 4;
 /// Time after which a structure without any data counts as stale. Before, it may still be starting.
 const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
+/// Lag (s) above which the estimates are too old to act on.
+const LATE_S: f64 = 10.0;
+/// Maximum number of further parts that the sentence of an alert names.
+const PARTS_NAMED: usize = 3;
 
 /// Urgency of a structure, the most urgent first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -46,11 +51,17 @@ pub(crate) struct Overview {
     pub(crate) description: String,
     /// Where the structure stands, for the map. `None` if its file does not say.
     pub(crate) coordinates: Option<Coordinates>,
-    /// Whether there is a model to identify. Without one, only natural frequencies are followed.
+    /// Where the structure stands, in words; may be empty.
+    pub(crate) place: String,
+    /// Whether there is a model. Without one, only natural frequencies are followed.
     pub(crate) has_model: bool,
+    /// Whether a filter estimates the parts of the model from every frame.
+    pub(crate) is_filtered: bool,
     pub(crate) level: Level,
     /// Reason for the level, for people.
     pub(crate) sentence: String,
+    /// Further matters that need attention while an alert is raised. Empty without any.
+    pub(crate) also: String,
     /// Loss by the newest value, if it is newer than the alert in the sentence.
     pub(crate) now: Option<String>,
     pub(crate) worst: Option<Worst>,
@@ -94,6 +105,8 @@ pub(crate) struct Worst {
     pub(crate) std: f64,
     /// Whether the alert of the parameter has no decision, for example because of the fit.
     pub(crate) undecided: bool,
+    /// Whether the present data do not confirm the alert of the parameter.
+    pub(crate) unconfirmed: bool,
 }
 
 /// Number of channels, and of channels that work.
@@ -108,7 +121,7 @@ pub(crate) struct SensorCount {
     pub(crate) doubtful: Vec<String>,
 }
 
-/// Last relevant change of an alert.
+/// Last change of an alert to a state that is more than routine.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct LastAlert {
     pub(crate) parameter: String,
@@ -140,6 +153,7 @@ fn earthquake(store: &Store) -> Option<EarthquakeReported> {
     let dated = |report: &EarthquakeReported| Dated {
         time_s: report.time_s,
         rank: Urgency::of_words(&report.urgency).map_or(u8::MAX, Urgency::rank),
+        peak_m_per_s2: peak_in(&report.result).unwrap_or(0.0),
     };
     let until_s = store.state.time_ns.map_or(f64::MIN, |ns| ns as f64 / 1e9);
     let all: Vec<Dated> = reports.iter().map(dated).collect();
@@ -170,12 +184,16 @@ fn reported(store: &Store, event: &Event) -> Option<EarthquakeReported> {
 pub(crate) fn overview(store: &Store) -> Overview {
     let sensors = sensor_count(store);
     let (level, sentence) = attention(store, &sensors);
+    let also = match level {
+        Level::Alarm => besides_the_alarm(store, &sensors),
+        _ => String::new(),
+    };
     let told = store
         .state
         .alerts
         .values()
         .find(|alert| sentence.starts_with(alert.why.as_str()));
-    let now = told.and_then(|alert| store.state.present_loss(alert));
+    let now = told.and_then(|alert| present_loss(store, alert));
     let worst = store
         .state
         .losses
@@ -191,6 +209,9 @@ pub(crate) fn overview(store: &Store) -> Overview {
         let estimate = store.state.parameters.get(display.parameter.as_str())?;
         Some((display, estimate))
     });
+    let is_in = |display: &LossDisplay, state| {
+        alerts_in(store, state).any(|alert| alert.parameter == display.parameter)
+    };
     let worst = worst.map(|(display, estimate)| Worst {
         parameter: display.parameter.to_string(),
         probability_of_loss: display.probability_of_loss,
@@ -199,10 +220,11 @@ pub(crate) fn overview(store: &Store) -> Overview {
         loss: display.loss,
         mean: estimate.mean,
         std: estimate.std,
-        undecided: alerts_in(store, AlertState::Undecided)
-            .any(|alert| alert.parameter == display.parameter),
+        undecided: is_in(display, AlertState::Undecided),
+        unconfirmed: is_in(display, AlertState::Unconfirmed),
     });
-    let last_alert = store.changes.front().map(|alert| LastAlert {
+    let is_alert = |alert: &&AlertMessage| !is_routine(alert.state);
+    let last_alert = store.changes.iter().find(is_alert).map(|alert| LastAlert {
         parameter: alert.parameter.to_string(),
         state: alert.state,
         time_s: alert.time_ns as f64 / 1e9,
@@ -216,9 +238,12 @@ pub(crate) fn overview(store: &Store) -> Overview {
         name: store.about.name.clone(),
         description: store.about.description.clone(),
         coordinates: store.about.coordinates,
+        place: store.about.place.clone(),
         has_model: store.about.has_model,
+        is_filtered: store.about.is_filtered,
         level,
         sentence,
+        also,
         now,
         worst,
         lag_s: store.displayed_lag(lag_s(store)),
@@ -244,6 +269,14 @@ fn is_stiffness(store: &Store, name: &str) -> bool {
         .any(|parameter| parameter.stiffness && parameter.name == name)
 }
 
+/// Returns `true` if a state of an alert concerns nobody.
+fn is_routine(state: AlertState) -> bool {
+    matches!(
+        state,
+        AlertState::Normal | AlertState::Learning | AlertState::Undecided
+    )
+}
+
 fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMessage> {
     store
         .state
@@ -257,7 +290,7 @@ fn alerts_in(store: &Store, state: AlertState) -> impl Iterator<Item = &AlertMes
 /// This is the station in distributed identification, and the leader if there are standbys. Without
 /// a model, only natural frequencies are followed.
 fn lag_s(store: &Store) -> Option<f64> {
-    let source = match (store.about.has_model, store.about.distributed) {
+    let source = match (store.about.is_filtered, store.about.distributed) {
         (false, _) => Service::Modes,
         (true, true) => Service::Fuse,
         (true, false) => Service::Identify,
@@ -325,11 +358,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
     if let Some((most_urgent, _)) = concerns.first() {
         // An alert that somebody has seen does not hide that new damage would not be noticed.
-        let unwatched = store.state.monitoring().filter(|display| {
-            *most_urgent == Level::Notice
-                && display.state != MonitoringState::Watching
-                && !display.only_learns()
-        });
+        let unwatched = unwatched(store).filter(|_| *most_urgent == Level::Notice);
         let words = unwatched.map(MonitoringDisplay::words);
         let level = match words {
             Some(_) => Level::Warning,
@@ -343,7 +372,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
             "no data since this page was started; check which services and sensors are running";
         return (Level::Stale, sentence.to_owned());
     }
-    if !store.about.has_model {
+    if !store.about.is_filtered {
         return frequencies::attention(store);
     }
     if store.state.silence().is_none() {
@@ -378,13 +407,28 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
 }
 
-/// Lists names in words, at most [`SENSORS_NAMED`] of them.
-fn listed(names: &[impl AsRef<str>]) -> String {
-    let shown: Vec<&str> = names
-        .iter()
-        .take(SENSORS_NAMED)
-        .map(AsRef::as_ref)
-        .collect();
+/// Returns what else needs attention, so that an alarm does not hide it. Empty without any.
+fn besides_the_alarm(store: &Store, sensors: &SensorCount) -> String {
+    let unwatched = unwatched(store).map(MonitoringDisplay::words);
+    let mut told: Vec<String> = unwatched.into_iter().collect();
+    for (_, sentence) in concerns(store, sensors) {
+        if !told.contains(&sentence) {
+            told.push(sentence);
+        }
+    }
+    told.join("; ")
+}
+
+/// Returns the report that damage would not be noticed, unless the filter only learns.
+fn unwatched(store: &Store) -> Option<&MonitoringDisplay> {
+    let display = store.state.monitoring()?;
+    (display.state != MonitoringState::Watching && !display.only_learns() && !store.is_stale())
+        .then_some(display)
+}
+
+/// Lists names in words, at most `most` of them.
+fn listed(names: &[impl AsRef<str>], most: usize) -> String {
+    let shown: Vec<&str> = names.iter().take(most).map(AsRef::as_ref).collect();
     match names.len() - shown.len() {
         0 => shown.join(", "),
         more => format!("{} and {more} more", shown.join(", ")),
@@ -409,18 +453,22 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
     };
     let is_unused = |channel: &&String| !sensors.doubtful.contains(*channel);
     let unused: Vec<&String> = sensors.troubled.iter().filter(is_unused).collect();
-    let results = match store.about.has_model {
+    let results = match store.about.is_filtered {
         true => "estimates",
         false => "natural frequencies",
     };
     let unused = (!unused.is_empty()).then(|| {
         format!(
             "not used: {}; the {results} use the other sensors",
-            listed(&unused)
+            listed(&unused, SENSORS_NAMED)
         )
     });
-    let doubtful = (!sensors.doubtful.is_empty())
-        .then(|| format!("probably faulty: {}", listed(&sensors.doubtful)));
+    let doubtful = (!sensors.doubtful.is_empty()).then(|| {
+        format!(
+            "probably faulty: {}",
+            listed(&sensors.doubtful, SENSORS_NAMED)
+        )
+    });
     let troubled: Vec<String> = [unused, doubtful].into_iter().flatten().collect();
     let troubled = (!troubled.is_empty()).then(|| troubled.join("; "));
     // The report on the monitoring also covers channels that lose only some of their samples.
@@ -428,6 +476,10 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         .filter(|_| !store.is_stale())
         .map(MonitoringDisplay::words)
         .or(troubled);
+    let late = store
+        .displayed_lag(lag_s(store))
+        .filter(|lag_s| *lag_s > LATE_S && store.about.is_filtered)
+        .map(|lag_s| format!("the estimates are {lag_s:.0} s behind the samples"));
     let missing =
         missing_service(store).map(|missing| format!("the service {} is gone", missing.as_str()));
     let all = [
@@ -435,6 +487,7 @@ fn concerns(store: &Store, sensors: &SensorCount) -> Vec<(Level, String)> {
         (Level::Warning, undecided(store, true)),
         (Level::Warning, contradicted_fit(store)),
         (Level::Warning, troubled),
+        (Level::Warning, late),
         (Level::Warning, missing),
         (Level::Notice, alerts(AlertState::SofteningInMotion)),
         // A cleared alert waits for its acknowledgement.
@@ -502,19 +555,24 @@ fn contradicted_fit(store: &Store) -> Option<String> {
     (!is_told).then(|| fit.words())
 }
 
-/// Returns the sentence of an alert and the number of further alerts in the same state.
+/// Returns the sentence of an alert and the names of further parts in the same state.
 fn with_others(store: &Store, first: &AlertMessage) -> String {
     let state = first.state.as_str();
-    match alerts_in(store, first.state).count() - 1 {
+    let others = alerts_in(store, first.state).filter(|alert| alert.parameter != first.parameter);
+    let names: Vec<&str> = others.map(|alert| alert.parameter.as_str()).collect();
+    match names.len() {
         0 => first.why.clone(),
-        1 => format!("{}; one more alert is {state}", first.why),
-        more => format!("{}; {more} more alerts are {state}", first.why),
+        1 => format!("{}; {} is {state} too", first.why, names[0]),
+        _ => {
+            let listed = listed(&names, PARTS_NAMED);
+            format!("{}; also {state}: {listed}", first.why)
+        }
     }
 }
 
 /// Returns the first required service that was present and has disappeared.
 fn missing_service(store: &Store) -> Option<Service> {
-    let needed: &[Service] = match store.about.has_model {
+    let needed: &[Service] = match store.about.is_filtered {
         true => &[
             Service::Identify,
             Service::Fuse,

@@ -152,7 +152,7 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
             SensorHealth::Silent
         }
         // Without a model, the first epoch shows which channels are used.
-        (None, Some(_)) if !store.about.has_model && store.about.observes(channel) => {
+        (None, Some(_)) if !store.about.is_filtered && store.about.observes(channel) => {
             SensorHealth::Silent
         }
         (None, _) if is_there => SensorHealth::Alive,

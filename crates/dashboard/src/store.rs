@@ -293,7 +293,7 @@ impl Store {
 
     /// Notes the channels that took part in an epoch. With a model, the innovations show more.
     fn note_used_channels(&mut self, display: &ModeDisplay) {
-        let is_useful = !self.about.has_model && self.state.is_live(display.time_ns);
+        let is_useful = !self.about.is_filtered && self.state.is_live(display.time_ns);
         let shape = display.estimate.iter().flat_map(|estimate| &estimate.shape);
         if is_useful {
             self.forget_uses_after(display.time_ns);

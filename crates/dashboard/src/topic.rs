@@ -67,6 +67,11 @@ impl Kind {
         }
     }
 
+    /// Returns `true` if the history service stores series of this kind.
+    pub(crate) fn is_in_history(self) -> bool {
+        !matches!(self, Self::Innovation | Self::Consistency | Self::Waveform)
+    }
+
     /// Returns the names of the columns.
     pub(crate) fn columns(self) -> &'static [&'static str] {
         match self {

@@ -158,8 +158,11 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
 /// Returns the loss by the newest value, if that is newer than the sentence of the alert.
 ///
 /// A parameter remains normal without a new sentence, so its sentence is as old as its first
-/// decision.
-fn present_loss(store: &Store, message: &AlertMessage) -> Option<String> {
+/// decision. The newest value of an unconfirmed alert is no finding, and would contradict its sentence.
+pub(crate) fn present_loss(store: &Store, message: &AlertMessage) -> Option<String> {
+    if message.state == AlertState::Unconfirmed {
+        return None;
+    }
     if message.state != AlertState::Normal {
         return store.state.present_loss(message);
     }

@@ -66,19 +66,50 @@ pub struct Dated {
     pub time_s: f64,
     /// Rank of the urgency of the report, from 1 for the most urgent.
     pub rank: u8,
+    /// Largest acceleration of the structure (m/s²), or 0 if it is unknown.
+    pub peak_m_per_s2: f64,
+}
+
+/// Unit of the peak behind a result.
+const UNIT: &str = " m/s².";
+/// Words before the peak behind a result.
+const PEAK: &str = " Peak ";
+
+/// Returns the result of a report with its peak (m/s²) as the last sentence. [`peak_in`] reads it.
+///
+/// ```
+/// use spandrel_earthquake::urgency::{peak_in, with_peak};
+///
+/// let result = with_peak("Strong shaking.", 5.561);
+/// assert_eq!(result, "Strong shaking. Peak 5.56 m/s².");
+/// assert_eq!(peak_in(&result), Some(5.56));
+/// ```
+#[must_use]
+pub fn with_peak(headline: &str, peak_m_per_s2: f64) -> String {
+    format!("{headline}{PEAK}{peak_m_per_s2:.2}{UNIT}")
+}
+
+/// Returns the peak (m/s²) behind the result of a report. `None` if it has none.
+#[must_use]
+pub fn peak_in(result: &str) -> Option<f64> {
+    let (_, peak) = result.strip_suffix(UNIT)?.rsplit_once(PEAK)?;
+    peak.parse().ok()
 }
 
 /// Returns the position of the report that ranks a structure, in `newest_first`. `None` if no report
 /// is of the two days before `until_s`.
 ///
-/// It is the most urgent report of these two days, and the newest of equal ones. A weak aftershock
-/// needs no action by itself, which must not hide that an inspector is needed.
+/// It is the most urgent report of these two days. Of equally urgent ones, it is the one with the
+/// largest acceleration, and then the newest. A weak aftershock must not hide the main shock.
 #[must_use]
 pub fn ranking(newest_first: &[Dated], until_s: f64) -> Option<usize> {
     let all = newest_first.iter().enumerate();
     let recent = all.filter(|(_, report)| until_s - report.time_s <= RANKS_FOR_S);
     // The first of equal reports is the minimum.
-    let most_urgent = recent.min_by_key(|(_, report)| report.rank);
+    let most_urgent = recent.min_by(|(_, a), (_, b)| {
+        let by_rank = a.rank.cmp(&b.rank);
+        by_rank.then(b.peak_m_per_s2.total_cmp(&a.peak_m_per_s2))
+    });
     most_urgent.map(|(position, _)| position)
 }
 
@@ -92,7 +123,21 @@ mod tests {
         Dated {
             time_s: day * DAY_S,
             rank: urgency.rank(),
+            peak_m_per_s2: 1.0,
         }
+    }
+
+    #[test]
+    fn a_weak_aftershock_does_not_hide_an_equally_urgent_main_shock() {
+        let aftershock = Dated {
+            peak_m_per_s2: 0.46,
+            ..at(1.1, Urgency::Inspect)
+        };
+        let main_shock = Dated {
+            peak_m_per_s2: 5.56,
+            ..at(1.0, Urgency::Inspect)
+        };
+        assert_eq!(ranking(&[aftershock, main_shock], DAY_S * 1.2), Some(1));
     }
 
     #[test]

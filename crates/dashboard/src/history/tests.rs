@@ -225,3 +225,19 @@ fn earlier_values_are_queried_from_the_history_and_prepended() {
     assert!(data[0].is_sorted(), "{:?}", data[0]);
     assert_eq!(span.kept_from_s, Some(10.0));
 }
+
+#[test]
+fn the_history_is_not_queried_for_series_that_it_does_not_store() {
+    let mut store = demo();
+    store.handle(crate::testing::present(&[(Service::History, "history")]));
+    let asked = Asked {
+        series: Some("innovation/floor-1,waveform/floor-1,consistency/all,loss/storey-1".into()),
+        from: Some("0".into()),
+        to: Some("1100".into()),
+        ..Asked::default()
+    };
+    let (span, earlier) = read(&store, &Request::new(&asked, &store).unwrap());
+    assert_eq!(span.series.len(), 4);
+    let kinds: Vec<&str> = earlier.iter().map(|one| one.query.kind.as_str()).collect();
+    assert_eq!(kinds, ["loss"]);
+}

@@ -29,10 +29,7 @@ fn raised_among_others() -> Store {
 fn the_largest_loss_that_is_raised_is_told_first() {
     let found = overview(&raised_among_others());
     assert_eq!((found.level, found.raised), (Level::Alarm, 2));
-    assert_eq!(
-        found.sentence,
-        "storey-2 is raised; one more alert is raised"
-    );
+    assert_eq!(found.sentence, "storey-2 is raised; storey-3 is raised too");
     assert_eq!(found.worst.unwrap().parameter, "storey-2");
 }
 
@@ -56,7 +53,7 @@ fn a_silence_is_told_but_does_not_hide_an_alarm() {
     assert_eq!(found.level, Level::Notice);
     assert_eq!(
         found.sentence,
-        "storey-2 is acknowledged; one more alert is acknowledged"
+        "storey-2 is acknowledged; storey-3 is acknowledged too"
     );
 }
 
@@ -451,6 +448,11 @@ fn the_sentence_of_an_alert_has_the_present_state_beside_it() {
         now.starts_with("loss 3 % (95 % interval 1 to 5 %)") && now.ends_with("probability 0.020"),
         "{now}"
     );
+    let unconfirmed = alert("storey-2", 1, AlertState::Unconfirmed);
+    store.handle(Input::Alert(unconfirmed));
+    let found = overview(&store);
+    assert_eq!(found.sentence, "storey-2 is unconfirmed");
+    assert_eq!(found.now, None, "the newest value is no finding");
 }
 
 /// Returns the status of a service whose samples have this pace.
@@ -769,4 +771,73 @@ fn softening_in_motion_is_a_notice_and_the_most_urgent_report_of_two_days_is_sho
     let after_ns = (2 * 86_400 + 61) * 1_000_000_000;
     hear(&mut store, "storey-2", after_ns, 0.85, 1.0);
     assert_eq!(overview(&store).earthquake, None);
+}
+
+#[test]
+fn an_equally_urgent_aftershock_does_not_replace_the_main_shock() {
+    let mut store = demo();
+    hear(&mut store, "storey-2", 1, 0.85, 1.0);
+    for (second, report, peak) in [(1, "main", "5.56"), (2, "after", "0.46")] {
+        store.handle(Input::Event(Event {
+            structure: name("demo"),
+            time_ns: second * 1_000_000_000,
+            kind: EventKind::EarthquakeReport,
+            subject: report.to_owned(),
+            what: "earthquake report: inspect".to_owned(),
+            why: format!("It shook. Peak {peak} m/s². /events/demo/{report}.html"),
+        }));
+    }
+    let shown = overview(&store).earthquake.unwrap();
+    assert_eq!(shown.report, "main");
+    assert_eq!(shown.result, "It shook. Peak 5.56 m/s².");
+    assert_eq!(shown.later.unwrap().report, "after");
+}
+
+#[test]
+fn an_alarm_does_not_hide_a_sensor_that_is_not_used() {
+    let mut store = raised_among_others();
+    assert_eq!(overview(&store).also, "");
+    store.handle(monitoring(MonitoringState::Blind));
+    let found = overview(&store);
+    assert_eq!(found.level, Level::Alarm);
+    assert_eq!(found.also, "blind: 33 % of the samples of floor-2 are used");
+}
+
+#[test]
+fn routine_changes_are_no_last_alert() {
+    let mut store = raised_among_others();
+    let because = UndecidedBecause::NoiseTraining;
+    store.handle(undecided("storey-1", AlertState::Undecided, because));
+    assert_eq!(
+        store.changes.front().unwrap().parameter.as_str(),
+        "storey-1"
+    );
+    assert_eq!(overview(&store).last_alert.unwrap().parameter, "storey-2");
+}
+
+#[test]
+fn estimates_far_behind_the_samples_are_a_warning() {
+    for (lag_s, is_late) in [(9.0, false), (100.0, true)] {
+        let mut store = demo();
+        store.handle(status(Service::Ingest, CLOCK_NS, Some(Pace::Live)));
+        let Input::Status(mut late) = status(Service::Identify, CLOCK_NS, None) else {
+            unreachable!()
+        };
+        late.lag_s = Some(lag_s);
+        store.handle(Input::Status(late));
+        hear(&mut store, "storey-1", CLOCK_NS, 1.0, 0.001);
+        let found = overview(&store);
+        let sentence = "the estimates are 100 s behind the samples";
+        assert_eq!(found.sentence == sentence, is_late, "{}", found.sentence);
+        assert_eq!(found.level == Level::Warning, is_late);
+    }
+}
+
+#[test]
+fn a_model_that_natural_frequencies_update_is_a_model() {
+    let text = include_str!("../../../../docs/examples/modes/stiffness.toml");
+    let path = std::path::Path::new("stiffness.toml");
+    let structure = spandrel_structure::Structure::parse(text, path).unwrap();
+    let found = overview(&Store::new(crate::about::About::new(&structure)));
+    assert!(found.has_model && !found.is_filtered);
 }

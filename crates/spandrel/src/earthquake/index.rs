@@ -108,6 +108,7 @@ fn of_structure<'e>(reports: &[&'e Entry]) -> Option<Ranked<'e>> {
     let dated = |entry: &&Entry| Dated {
         time_s: entry.start_s().unwrap_or(f64::MIN),
         rank: entry.rank,
+        peak_m_per_s2: entry.peak_m_per_s2,
     };
     let all: Vec<Dated> = reports.iter().map(dated).collect();
     let position = ranking(&all, until_s).unwrap_or(0);

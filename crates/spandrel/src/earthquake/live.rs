@@ -6,6 +6,7 @@ use super::report::{EventName, ReportSettings};
 use super::storeys::with_displacements;
 use super::{index, page};
 use crate::error::AppError;
+use spandrel_earthquake::urgency::with_peak;
 use spandrel_reports::{MadeReport, ReportCourse, ReportIndex, ReportMaker};
 use spandrel_structure::{EarthquakePlan, Structure};
 use std::path::{Path, PathBuf};
@@ -69,7 +70,7 @@ impl ReportCourse for LiveCourse {
             html: page::html(&report, &record.channels, occasion),
             json: report.json(),
             urgency: report.urgency.words().to_owned(),
-            headline: report.headline,
+            headline: with_peak(&report.headline, report.peak_m_per_s2),
         })
     }
 }
