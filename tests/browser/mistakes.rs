@@ -434,7 +434,10 @@ async fn sensors_events_and_settings_are_tables() {
     browser
         .wait(
             "a comparison with the others",
-            &format!("/^factor [\\d.]+, delay −?\\d+ ms$/.test({})", cell(5)),
+            &format!(
+                "/^[\\d.]+ times, \\d+ ms (before|after)$/.test({})",
+                cell(5)
+            ),
         )
         .await;
     browser

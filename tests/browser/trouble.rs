@@ -22,7 +22,6 @@ async fn a_card_with_an_alarm_tells_what_else_is_wrong_and_how_late_the_estimate
         const page = new OverviewPage({ listen() {}, on: () => () => {} });
         const tower = { name: 'tower', description: 'steel', place: 'Bern', sentence: 'storey-2 is raised', also: 'floor-3 is silent', level: 'alarm', has_model: true, is_filtered: true, age_s: 0, lag_s: 100, sensors: { alive: 1, total: 2, troubled: ['floor-3'] } };
         const shown = () => ['.description', '.also', '.now', '.fact-age dd'].map((name) => { const one = page.element.querySelector(name); return one.hidden ? null : one.textContent; });
-        const place = () => { const { top } = page.element.querySelector('.now').getBoundingClientRect(); return top; };
         page.show({ structures: [tower] });
         document.getElementById('main').replaceChildren(page.element);
         const first = shown();

@@ -28,8 +28,6 @@ const BELOW = 26;
 /** Width of a character of a name, and height of a name. */
 const CHARACTER = 7;
 const NAME_HEIGHT = 14;
-/** Widest probability below a name. */
-const WIDEST_VALUE = "> 99.9 %";
 /** Size of the sign of a sensor. */
 const SIGN = 12;
 const MARGIN = 34;
@@ -61,6 +59,8 @@ export class Drawing {
   /** Names beside parts that are too small, and the heights of the other names. */
   #callouts = [];
   #named = [];
+  /** Names of sensors beside members, with their edges. */
+  #sensorNames = [];
 
   constructor(about, choose) {
     this.choose = choose;
@@ -101,6 +101,9 @@ export class Drawing {
       if (part.value) setText(part.value, isFound ? told : "");
     }
     this.#callOut(found);
+    // The probability of a finding is more important than the name of a sensor.
+    const values = this.#parts.filter(({ value }) => value?.textContent).map(({ value }) => box(value, value.textContent));
+    for (const { name, own } of this.#sensorNames) setAttribute(name, "visibility", values.some((value) => overlap(own, value)) ? "hidden" : null);
     const health = new Map(sensors.map((sensor) => [sensor.channel, sensor.health]));
     for (const { channel, name, element, sign, title } of this.#sensors) {
       const { sign: shape, word, level } = HEALTH[health.get(channel) ?? "unknown"];
@@ -219,7 +222,7 @@ export class Drawing {
         // Below the name, so that it does not cover the name of the next part.
         value = s("text", { x: label.getAttribute("x"), y: Number(label.getAttribute("y")) + (isUpright ? NAME_HEIGHT : 2 * NAME_HEIGHT + 4), class: label.getAttribute("class") });
         labels.push(label, value);
-        taken.push(box(label, name), box(value, WIDEST_VALUE));
+        taken.push(box(label, name));
       }
       this.#part(member, [s("path", { class: "grip", d }), s("path", { class: "line", d }), s("path", { class: "dash", d })], { label, value, text: () => name });
     }
@@ -249,8 +252,9 @@ export class Drawing {
         const name = s("text", { x: left, y: top, class: `${side} sensor-name`, "dominant-baseline": "central" }, text);
         const own = box(name, text);
         const isInside = own.left >= 0 && own.right <= this.width && own.bottom <= height;
-        if (!isInside || taken.some((other) => own.left < other.right && other.left < own.right && own.top < other.bottom && other.top < own.bottom)) continue;
+        if (!isInside || taken.some((other) => overlap(own, other))) continue;
         taken.push(own);
+        this.#sensorNames.push({ name, own });
         this.svg.append(name);
         break;
       }
@@ -328,6 +332,10 @@ function box(element, text) {
   const names = element.getAttribute("class");
   const left = names.includes("above") ? x - width / 2 : names.includes("aside") ? x - width : x;
   return { left, right: left + width, top: y - NAME_HEIGHT / 2, bottom: y + NAME_HEIGHT / 2 };
+}
+
+function overlap(a, b) {
+  return a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 }
 
 /** Creates the hatching of parts with a probable loss, which shows the loss without colour. */

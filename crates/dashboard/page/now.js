@@ -85,7 +85,7 @@ export class NowTab {
       const own = isOpen(alert) && parameter.stiffness && loss ? judgedEstimate({ loss: loss.loss, ...loss.interval }, loss.reference) : null;
       const { low, high } = own ?? shown?.interval ?? {};
       setText(part.mean, own ? ratio(own.mean) : shown ? `${ratio(shown.mean)} ± ${ratio(shown.std)}` : "–");
-      setText(part.interval, shown ? t("range", ratio(low), ratio(high)) : "–");
+      setText(part.interval, own ?? shown ? t("range", ratio(low), ratio(high)) : "–");
       const p = parameter.stiffness ? loss?.probability_of_loss : null;
       const told = p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility);
       // The number of a part without a decision is no finding, so it has no bar.
