@@ -124,7 +124,8 @@ class AlertList {
     updateAlert(newest, changes[0]);
     const first = changes.at(-1);
     folded.hidden = changes.length === 1;
-    setText(title, t("changed-times", STATES[first.state].word, time(first.time_ns / 1e9), changes.length - 1));
+    const [word, since] = [STATES[first.state].word, time(first.time_ns / 1e9)];
+    setText(title, changes.length === 2 ? t("changed-once", word, since) : t("changed-times", word, since, changes.length - 1));
     keyed(list, changes.slice(1), key, () => this.#make(), updateAlert);
   }
 

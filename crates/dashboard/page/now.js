@@ -79,7 +79,7 @@ export class NowTab {
       const state = alert ? stateOf(alert) : null;
       part.element.dataset.level = state?.level ?? "learning";
       part.state.title = alert?.unwatched?.why ?? "";
-      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : this.page.about.judged.length > 0 && !this.page.about.is_filtered ? t("not-judged-within-seconds") : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : !this.page.about.is_filtered ? (this.page.about.judged.length > 0 ? t("not-judged-within-seconds") : t("not-judged-now")) : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
       const loss = standing.losses[parameter.name];
       // Without a finding, the interval of the filter would contradict the probability beside it.
       const own = isOpen(alert) && parameter.stiffness && loss ? judgedEstimate({ loss: loss.loss, ...loss.interval }, loss.reference) : null;

@@ -216,7 +216,7 @@ function section({ about, overview, standing, changes }, series, period, shown) 
     { class: "report-structure", "data-structure": about.name, "data-level": overview.level },
     h("h2", {}, about.name),
     h("p", { class: "description" }, where.join(" · ")),
-    h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
+    h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
     part(t("alerts-in-the-period"), events(alerts, t("no-alert")), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
     about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), parameterCharts(about, standing, changes, series, shown)) : null,
     about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
