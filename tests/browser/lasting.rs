@@ -102,7 +102,7 @@ const PANEL: &str = "document.getElementById('panel-lasting').innerText";
 async fn the_present_state_leads_to_the_year(browser: &mut Browser) {
     let list = "document.getElementById('judgements')";
     let lost = format!(
-        "/▲ lasting loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch 2025-11-22/.test({list}.textContent)"
+        "/◆ lasting loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch 2025-11-22/.test({list}.textContent)"
     );
     browser
         .wait("the state among the present ones", &lost)
