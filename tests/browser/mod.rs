@@ -584,7 +584,7 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
     browser
         .wait(
             "storey 2 in the colour of a certain loss",
-            "document.querySelector('.drawing [data-part=storey-2]').dataset.step === '4'",
+            "document.querySelector('.drawing [data-part=storey-2]').dataset.step === '3'",
         )
         .await;
     let sound = browser
