@@ -23,7 +23,7 @@ pub(crate) fn read<M: Message>(sample: &Sample) -> Result<M, DecodeError> {
     Ok(message)
 }
 
-/// A [`FloodGate`] that uses the wall clock.
+/// A [`FloodGate`] that uses the monotonic clock.
 #[derive(Debug)]
 pub(crate) struct Intake {
     gate: FloodGate,
@@ -34,7 +34,7 @@ impl Intake {
     pub(crate) fn new() -> Self {
         #[expect(
             clippy::disallowed_methods,
-            reason = "floods are told by the clock of the wall"
+            reason = "floods are detected with the monotonic clock"
         )]
         let start = Instant::now();
         Self {

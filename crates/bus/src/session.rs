@@ -287,7 +287,6 @@ pub(crate) fn set(
         .map_err(|source| BusError::Setting { key, value, source })
 }
 
-/// Converts a path for the Zenoh configuration.
 /// Reads a configuration file of Zenoh.
 fn read_config(path: &Path) -> Result<zenoh::Config, BusError> {
     let failed = |source: ZenohError| BusError::ConfigFile {
@@ -299,6 +298,7 @@ fn read_config(path: &Path) -> Result<zenoh::Config, BusError> {
     zenoh::Config::from_file(path).map_err(failed)
 }
 
+/// Converts a path for the Zenoh configuration.
 fn text(path: &Path) -> Result<Value, BusError> {
     let text = path.to_str().ok_or_else(|| BusError::PathNotText {
         path: path.to_owned(),

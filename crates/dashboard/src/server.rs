@@ -78,7 +78,7 @@ impl Server {
             .collect();
         #[expect(
             clippy::disallowed_methods,
-            reason = "sessions of browsers end by the clock of the wall"
+            reason = "sessions of browsers end by the monotonic clock"
         )]
         let started = Instant::now();
         let (clients, stopped) = (AtomicUsize::new(0), watch::Sender::new(false));

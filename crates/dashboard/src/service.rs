@@ -292,7 +292,7 @@ async fn bind(page: &PageSettings) -> Result<TcpListener, DashboardError> {
 async fn listen(sources: &mut [Source], server: &Server) -> Result<(), DashboardError> {
     #[expect(
         clippy::disallowed_methods,
-        reason = "how long nothing was heard is told by the clock of the wall"
+        reason = "silence is measured with the monotonic clock"
     )]
     let start = Instant::now();
     let mut gather = tokio::time::interval(GATHER_EVERY);

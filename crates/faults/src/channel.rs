@@ -18,7 +18,7 @@ pub enum Fault {
     Dead,
     /// The channel measures more than the motion, or something else.
     Disturbed,
-    /// The offset of the channel moves or is large: the offset relative to the other channels (m/s²).
+    /// The offset of the channel moves or is large: its value relative to the others (m/s²).
     Drift(f64),
     /// The peaks of the channel are cut off at this value (m/s²).
     Clipped(f64),

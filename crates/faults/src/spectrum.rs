@@ -135,8 +135,8 @@ impl Spectrum {
         self.samples as f64 / self.rate_hz
     }
 
-    /// Returns the squared sum of the window, the factor from the variance of white noise to the
-    /// power of a bin.
+    /// Returns the sum of the squared window weights. It is the ratio of the power of a bin to the
+    /// variance of white noise.
     pub(crate) fn noise_power(&self) -> f64 {
         0.375 * self.samples as f64
     }

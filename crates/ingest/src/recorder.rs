@@ -252,7 +252,7 @@ impl Recorder {
 
     /// Stops writing if the files of the recording are no longer at their paths.
     ///
-    /// What was written since then is in files that no path leads to. They may be lost.
+    /// Frames written since then are in files without a path, and may be lost.
     fn check_folder(&mut self) {
         if self.checked.elapsed() < CHECK_EVERY {
             return;

@@ -235,10 +235,11 @@ impl Judging {
         (state, Some(expectation))
     }
 
-    /// Guarded learning: a lasting loss is learnt slowly. Forgetting coefficients and frost are learnt
-    /// without a guard, because the end of a frost must not look like a loss. Other new conditions
-    /// have a wider guard: they explain a residual of some standard deviations, but not a loss that
-    /// happens on such a day.
+    /// Guarded learning: a lasting loss is learnt slowly.
+    ///
+    /// Forgetting coefficients and frost are learnt without a guard, because the end of a frost must
+    /// not look like a loss. Other new conditions have a wider guard. They explain a residual of some
+    /// standard deviations, but not a loss that happens on such a day.
     fn learn(&mut self, row: &Row, learnt: Learnt) {
         let Reference {
             columns,

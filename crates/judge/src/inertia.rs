@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Candidates of the time constant (days). A concrete wall of thickness L that is heated on both sides
-/// follows with L²/(π² α), with α = 0.09 m²/day: one day for 0.9 m. A wall that is heated on one side
-/// takes four times as long.
+/// Candidates of the time constant (days).
+///
+/// A concrete wall of thickness L that is heated on both sides follows with L²/(π² α), with
+/// α = 0.09 m²/day: one day for 0.9 m. A wall that is heated on one side takes four times as long.
 pub(crate) const INERTIAS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
 
 /// A temperature as the interior of the structure follows it.

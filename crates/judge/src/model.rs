@@ -4,7 +4,7 @@
 //!
 //! - the additional slope below T0 (frost), and the change of slope where the frost is complete
 //! - the change of slope at each of two warmer knots
-//! - the effect of the interior, which follows with thermal inertia: of its temperature, and of its frost
+//! - the effect of the interior, which follows with a delay: of its temperature, and of its frost
 //! - the offset in the frost zone, which differs from one cold spell to the next;
 //!
 //! and the deviation u, which has no measured cause. All have a prior in physical units. The level

@@ -182,7 +182,7 @@ impl JudgeService {
             );
             #[expect(
                 clippy::disallowed_methods,
-                reason = "whether the alert service is silent goes by the clock of the machine"
+                reason = "silence of the alert service is measured with the monotonic clock"
             )]
             let started = Instant::now();
             Ok(Self {

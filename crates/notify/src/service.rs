@@ -88,7 +88,7 @@ impl Monotonic {
     fn new() -> Self {
         #[expect(
             clippy::disallowed_methods,
-            reason = "when a notice is sent again goes by the clock of the machine"
+            reason = "the time of the next attempt is measured with the monotonic clock"
         )]
         let start = Instant::now();
         Self(start)

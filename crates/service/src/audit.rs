@@ -241,7 +241,7 @@ impl Audit {
         static AUDIT: LazyLock<Audit> = LazyLock::new(|| {
             #[expect(
                 clippy::disallowed_methods,
-                reason = "the rate of the log is limited by the wall clock"
+                reason = "the rate limit uses the monotonic clock"
             )]
             let started = Instant::now();
             Audit {

@@ -203,7 +203,7 @@ fn deviation(value: f64) -> String {
 
 /// Returns the most serious finding for one parameter, in words.
 fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
-    // A problem that no longer record solves takes precedence over one that a longer record solves.
+    // A problem that persists in a longer record takes precedence.
     let rests = findings.iter().find_map(|line| match &line.finding {
         Finding::RestsOnExcitation {
             parameter: of,

@@ -327,8 +327,8 @@ fn drifting_sensor_is_named_with_the_distance_of_its_offset() {
     assert_eq!(suspected, [FLOOR_2]);
 }
 
-/// Regression test: the reference followed an offset of any size, so that the sensor was used again after
-/// some minutes.
+/// Regression test: the reference followed an offset of any size, so that the sensor was used again
+/// after some minutes.
 #[test]
 fn a_large_offset_is_a_fault_for_as_long_as_it_lasts() {
     let stated_noise = 0.3;

@@ -35,9 +35,10 @@ impl Choice {
     }
 }
 
-/// A mode recurs if it is found in this share of the epochs, and in this number of them. The mean of its
-/// damping ratio then decides whether it is listed, and not that of one epoch: a spurious mode does
-/// not recur.
+/// A mode recurs if it is found in this share of the epochs, and in this number of them.
+///
+/// The mean of its damping ratio then decides whether it is listed, and not that of one epoch,
+/// because a spurious mode does not recur.
 const RECURRING_SHARE: f64 = 0.8;
 const RECURRING_EPOCHS: f64 = 3.0;
 

@@ -2,9 +2,9 @@
 //! would identify them.
 //!
 //! It shares no equation with `spandrel-judge`. Its frequencies depend on two temperatures with
-//! different memories, of which one is measured, or only that of the air. Asphalt softens exponentially with warmth, and ice
-//! grows and melts with the heat that it takes. Moisture is never measured. Every seed is another
-//! structure in another climate.
+//! different memories, of which one is measured, or only that of the air. Asphalt softens
+//! exponentially with warmth, and ice grows and melts with the heat that it takes. Moisture is never
+//! measured. Every seed is another structure in another climate.
 
 use crate::statistics::{Normal, Uniform};
 use spandrel_judge::Epoch;
