@@ -206,8 +206,11 @@ impl Browser {
             if tokio::time::Instant::now() >= end {
                 self.screenshot("failed").await;
                 let text = self.evaluate("document.body.innerText").await;
+                let focus = self
+                    .evaluate("`${document.hasFocus()}, ${document.activeElement?.outerHTML.slice(0, 200)}`")
+                    .await;
                 panic!(
-                    "waited in vain: {what}\n  {expression}\n  the page says: {text}\n  {:?}",
+                    "waited in vain: {what}\n  {expression}\n  the page says: {text}\n  the focus: {focus}\n  {:?}",
                     self.complaints
                 );
             }

@@ -20,7 +20,7 @@ mod workspace;
 
 use crate::support::skip;
 use chromium::Browser;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -710,6 +710,35 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
             &format!("{first} < '{}'", newest.as_str().unwrap()),
         )
         .await;
+    // Refetched data with half as many rows has another number for the row under the crosshair.
+    let refetched = "(async () => { \
+        const read = () => document.querySelector('#plot-parameter-storey-1 .readout').textContent.slice(0, 8); \
+        const before = read(); \
+        const original = window.fetch; \
+        const halved = new Promise((resolve) => { \
+            window.fetch = async (address, options) => { \
+                const response = await original(address, options); \
+                if (!String(address).includes('parameter%2Fstorey-1')) return response; \
+                const answer = await response.json(); \
+                for (const one of answer.series) one.data = one.data.map((column) => column.filter((_, row) => (column.length - row) % 2 === 1)); \
+                setTimeout(resolve, 100); \
+                return { ok: true, json: async () => answer }; \
+            }; \
+        }); \
+        document.querySelector('#plot-parameter-storey-1 .plot-holder').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' })); \
+        await halved; \
+        window.fetch = original; \
+        return [before, read()]; })()";
+    let clock = |reading: &Value| {
+        let text = reading.as_str().unwrap();
+        text.split(':')
+            .fold(0, |sum, part| 60 * sum + part.parse::<i64>().unwrap())
+    };
+    let readings = browser.evaluate(refetched).await;
+    assert!(
+        (clock(&readings[0]) - clock(&readings[1])).abs() <= 2,
+        "the crosshair reads another moment after new data: {readings}"
+    );
     // A busy machine drops display values, so that the nearest ones can be in different seconds. The
     // crosshair has moved by sixty values, which are six seconds.
     let time = |clock: &str| format!("Date.parse('1970-01-01T' + {clock})");

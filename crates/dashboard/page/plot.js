@@ -173,13 +173,19 @@ export class Plot {
       setText(this.readout, this.#wasFetched ? t("no-data-in-this-span") : t("plot-loading"));
       return;
     }
-    if (!this.#uplot) this.#uplot = new uPlot(this.#options(), data, this.holder);
-    else this.#uplot.setData(data, false);
-    this.#uplot.setScale("x", this.span.shown);
+    const isNew = !this.#uplot;
+    this.#uplot ??= new uPlot(this.#options(), data, this.holder);
+    this.#uplot.batch((u) => {
+      if (!isNew) u.setData(data, false);
+      u.setScale("x", this.span.shown);
+    });
     // A new mark in the same span changes the room above the plot.
     const { room } = this;
     if (this.#room(this.#uplot) !== room) this.#uplot.redraw(false, true);
-    this.#read(this.#uplot.cursor.idx ?? null);
+    // Reads the value at the crosshair again. uPlot keeps the number of its row, which is another
+    // moment in refetched data.
+    const { left, top } = this.#uplot.cursor;
+    this.#uplot.setCursor({ left, top });
   }
 
   /** Provides the functions of the mouse by keyboard. */
