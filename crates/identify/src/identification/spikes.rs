@@ -10,9 +10,10 @@ const SHARED: f64 = 0.25;
 ///
 /// The screening of the filter also rejects samples of a structure that has changed. Without these
 /// samples, its sensors would seem to contradict each other. A rejected sample is therefore no spike
-/// if its neighbours in time are rejected as well, and share its deviation from the prediction. This
-/// does not suffice for a fast motion that the model does not contain. The measured samples are
-/// therefore kept beside those without spikes.
+/// if its neighbours in time are rejected as well, and share its deviation from the prediction. Three
+/// spikes in a row can share it by chance. Another predicted channel must therefore deviate for as
+/// long, if there is one. This does not suffice for a fast motion that the model does not contain. The
+/// measured samples are therefore kept beside those without spikes.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Spikes {
     /// The newest sample of each channel. Empty before the first frame.
@@ -52,8 +53,8 @@ impl Sample {
         }
     }
 
-    /// Returns the residual without a spike.
-    fn cleaned(self, before: Residual, next: Self) -> f64 {
+    /// Returns the residual without a spike. `is_common`: other channels deviate as well.
+    fn cleaned(self, before: Residual, next: Self, is_common: bool) -> f64 {
         if !self.is_rejected {
             return self.residual;
         }
@@ -61,13 +62,18 @@ impl Sample {
         // a spike. Of two spikes in a row, each has a neighbour that is not rejected.
         let shared = 0.5 * (before.measured + next.residual);
         let is_shared = (self.residual - shared).abs() < SHARED * self.residual.abs();
-        if before.is_rejected && next.is_rejected && is_shared {
+        if is_common && self.deviates(before, next) && is_shared {
             return self.residual;
         }
         match next.is_rejected && before.cleaned.is_finite() {
             true => before.cleaned, // the next sample can be a spike, too
             false => mean_of_known(before.cleaned, next.residual),
         }
+    }
+
+    /// Returns `true` if the sample and both of its neighbours are rejected.
+    fn deviates(self, before: Residual, next: Self) -> bool {
+        before.is_rejected && self.is_rejected && next.is_rejected
     }
 }
 
@@ -96,10 +102,14 @@ impl Spikes {
             self.before.resize(samples.len(), unknown);
             return false;
         }
+        let predicted = self.last.iter().filter(|last| !last.residual.is_nan());
+        let rows = self.before.iter().zip(&self.last).zip(samples.iter());
+        let deviating = rows.filter(|((before, last), next)| last.deviates(**before, **next));
+        let is_common = deviating.count() >= predicted.count().min(2);
         for ((before, last), sample) in self.before.iter_mut().zip(&mut self.last).zip(samples) {
             let next = std::mem::replace(sample, *last);
             *last = next;
-            let cleaned = sample.cleaned(*before, next);
+            let cleaned = sample.cleaned(*before, next, is_common);
             if sample.is_rejected {
                 sample.without_spike = sample.value + cleaned - sample.residual;
             }
@@ -154,6 +164,29 @@ mod tests {
     fn successive_spikes_are_removed() {
         let found = cleaned(&[1.0, 9.0, -8.0, 2.0, 0.0], 8.0);
         assert_eq!(found, [11.0, 11.0, 11.5, 12.0]);
+    }
+
+    #[test]
+    fn three_alike_are_spikes_if_the_other_channels_follow_the_prediction() {
+        let of_others = [[0.0; 5], [0.0, 7.0, 8.0, 9.0, 0.0]];
+        let found = of_others.map(|other| {
+            let mut spikes = Spikes::default();
+            let mut found = Vec::new();
+            for (residual, other) in [0.0, 8.0, 9.0, 8.0, 0.0].into_iter().zip(other) {
+                let mut samples = [residual, other].map(|residual| Sample {
+                    residual,
+                    is_rejected: residual >= 5.0,
+                    ..Sample::unpredicted(residual)
+                });
+                if spikes.take(&mut samples) {
+                    found.push(samples[0].without_spike);
+                }
+            }
+            found
+        });
+        let [alone, common] = found;
+        assert_eq!(alone, [0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(common, [0.0, 0.0, 9.0, 4.5]);
     }
 
     #[test]
