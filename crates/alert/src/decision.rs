@@ -160,8 +160,9 @@ const BLIND_FROM: f64 = 4.0;
 /// estimate. It applies if no baseline has measured the change.
 const USUAL_CHANGE_WITHOUT: f64 = 0.15;
 
-/// Whether a change of a parameter would be noticed at present, and if not, why.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Whether a change of a parameter would be noticed at present, and if not, why. The least vigilant
+/// is the largest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Vigilance {
     /// The present data reveal twice the loss of the rule.
     Watching,
@@ -445,6 +446,7 @@ impl Decision {
             Phase::Training => return Some(UndecidedBecause::NoiseTraining),
             Phase::ExcitationSilent => return Some(UndecidedBecause::ExcitationSilent),
             Phase::SensorInDoubt => return Some(UndecidedBecause::SensorInDoubt),
+            Phase::ResponseSilent => return Some(UndecidedBecause::NothingLearnt),
             Phase::Working => {}
         }
         if flags.fit == Some(FitVerdict::Contradicted) {

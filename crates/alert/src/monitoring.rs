@@ -15,6 +15,7 @@ use spandrel_bus::{
 use spandrel_structure::Structure;
 
 use crate::decision::Vigilance;
+use crate::wording::RESPONSE_IS_SILENT;
 use crate::{AlertError, Watch};
 
 /// Span of measurement time over which shares of used samples are computed, s.
@@ -395,7 +396,7 @@ impl Monitoring {
             reasons.push(self.words(UndecidedBecause::SensorInDoubt));
         }
         if !has_response {
-            reasons.push("no sensor of the response delivers usable samples".to_owned());
+            reasons.push(RESPONSE_IS_SILENT.to_owned());
         }
         let is_blind = !reasons.is_empty();
         reasons.extend(clock_reason(&self.wrong_clocks));

@@ -328,11 +328,14 @@ impl Watch {
         counts
     }
 
-    /// Returns whether a change of a parameter would be noticed at present, under its first rule.
-    /// `None` without a rule, or before the first estimate.
+    /// Returns whether a change of a parameter would be noticed at present, under the rule for which
+    /// the least would. `None` without a rule, or before the first estimate.
     pub(crate) fn vigilance(&self, parameter: usize) -> Option<Vigilance> {
-        let is_of_parameter = |decision: &&Decision| decision.subject().parameter == parameter;
-        self.decisions.iter().find(is_of_parameter)?.vigilance()
+        let decisions = self.decisions.iter();
+        decisions
+            .filter(|decision| decision.subject().parameter == parameter)
+            .filter_map(Decision::vigilance)
+            .max()
     }
 
     /// Returns the number of parameters of the structure.

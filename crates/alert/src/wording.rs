@@ -8,6 +8,9 @@ use spandrel_bus::{
 use crate::motion::Shaking;
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
+/// Why nothing is decided without samples of the structure.
+pub(crate) const RESPONSE_IS_SILENT: &str = "no sensor of the response delivers usable samples";
+
 /// What an alert is seen against.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Before<'a> {
@@ -16,6 +19,8 @@ pub(crate) struct Before<'a> {
     /// The last estimate. It explains why nothing is decided, also if an unconfirmed alert states an
     /// earlier one.
     pub(crate) now: ParameterEstimate,
+    /// Whether no sensor of the response delivers samples.
+    pub(crate) is_silent: bool,
     /// The strong motion from which the structure has not settled.
     pub(crate) shaking: Option<&'a Shaking>,
     /// The modes that contradict the model, in words.
@@ -166,6 +171,10 @@ fn undecided(because: UndecidedBecause, rule: &Rule, alert: &Alert, before: Befo
             let words = fit_in_words(FitVerdict::Contradicted, alert.fit_reasons);
             let modes = before.modes;
             modes.map_or_else(|| words.clone(), |modes| format!("{words} ({modes})"))
+        }
+        UndecidedBecause::NothingLearnt if before.is_silent => {
+            let ParameterEstimate { mean, std, .. } = before.now;
+            format!("{RESPONSE_IS_SILENT} (last estimate {mean:.3} ± {std:.3})")
         }
         UndecidedBecause::NothingLearnt => nothing_learnt(rule, alert, before.now),
         UndecidedBecause::NoiseTraining

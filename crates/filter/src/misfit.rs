@@ -373,8 +373,9 @@ impl MisfitState {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Memory {
     pub(crate) fading: FadingFactor,
-    /// `false` if [`Workspace::unlearn`] has taken the corrections back.
-    pub(crate) teaches: bool,
+    /// `false` if the covariance has not faded: [`Workspace::unlearn`] has taken the step back, or the
+    /// motion was reset and not predicted.
+    pub(crate) fades: bool,
 }
 
 /// Prior standard deviation and largest variance of each entry of the state (n).
@@ -520,12 +521,12 @@ impl Workspace {
                 before,
                 information: self.information[j],
             };
-            let fades = if memory.teaches {
+            let fading = if memory.fades {
                 memory.fading.value()
             } else {
                 1.0
             };
-            let believed = state.weigh(j, settings, fades, learnt);
+            let believed = state.weigh(j, settings, fading, learnt);
             if believed < 1.0 {
                 mean[at] -= (1.0 - believed) * self.corrections[j];
                 covariance[(at, at)] += (1.0 - believed) * self.gains[j];
@@ -571,7 +572,7 @@ mod tests {
                 &SETTINGS,
                 Memory {
                     fading,
-                    teaches: true,
+                    fades: true,
                 },
                 PriorSpread {
                     std: &prior_std,

@@ -400,10 +400,11 @@ impl OutlierState {
         })
     }
 
-    /// Restarts the training of all channels, because residuals are large for some time after a
-    /// reset of the motion.
+    /// Restarts the training of all channels that are not faulty, because residuals are large for some
+    /// time after a reset of the motion. Only its own samples can make a faulty channel sound again.
     pub(crate) fn retrain(&mut self) {
-        self.channels.iter_mut().for_each(ChannelScreen::retrain);
+        let sound = self.channels.iter_mut().filter(|channel| !channel.faulty);
+        sound.for_each(ChannelScreen::retrain);
     }
 
     /// Estimates the scales again from the recent residuals, because the residuals were larger

@@ -39,6 +39,11 @@ use spikes::Spikes;
 /// keeps the parameters.
 pub(crate) const BRIDGED_GAP_S: f64 = 10.0;
 
+/// Time without samples (s) after which nothing is decided.
+///
+/// An alert needs evidence that lasts. A prediction repeats the last estimate, also a wrong one.
+const SILENT_S: f64 = 1.0;
+
 /// Time (s) for which an excitation must repeat bit-identical samples before its sensor counts as
 /// stuck.
 ///
@@ -163,6 +168,8 @@ pub struct Identification {
     restarts: u64,
     /// Number of frames since the last one with a channel.
     unobserved: u64,
+    /// Largest number of frames per sample of a node.
+    slowest_stride: u64,
     /// State of each component of the excitation.
     hearing: Vec<Hearing>,
     reliability: Reliability,
@@ -337,6 +344,7 @@ impl Identification {
             stream: None,
             restarts: 0,
             unobserved: 0,
+            slowest_stride: structure.frames_per_sample().into_iter().max().unwrap_or(1),
             hearing: structure
                 .excitation_channels()
                 .iter()
@@ -793,6 +801,7 @@ impl Identification {
                 NoisePhase::Working if self.hearing.iter().any(Hearing::is_silent) => {
                     Phase::ExcitationSilent
                 }
+                NoisePhase::Working if self.has_silent_response() => Phase::ResponseSilent,
                 NoisePhase::Working if self.has_sensor_in_doubt() => Phase::SensorInDoubt,
                 NoisePhase::Working => Phase::Working,
             },
@@ -803,6 +812,18 @@ impl Identification {
             follows_jump: self.estimator.fit().follows_jump(),
             strong_motion: self.motion.as_ref().and_then(Motion::strong),
         }
+    }
+
+    /// Returns the number of frames without a sample after which channels count as silent.
+    fn silent_frames(&self, stream: Stream) -> u64 {
+        let of_time = (SILENT_S * stream.sampling_rate_hz) as u64;
+        of_time.max(2 * self.slowest_stride).max(1)
+    }
+
+    /// Returns `true` if no sensor of the response has delivered a usable sample for some time.
+    fn has_silent_response(&self) -> bool {
+        self.stream
+            .is_some_and(|stream| self.unobserved >= self.silent_frames(stream))
     }
 
     fn publish(

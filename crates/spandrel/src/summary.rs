@@ -50,9 +50,10 @@ pub struct Summary {
     pub misfit: Option<f64>,
     /// Warnings that require attention.
     pub warnings: Vec<String>,
-    /// Whether alerts of a watched parameter are undecided at the end. A warning states the reason.
+    /// Whether alerts of a watched parameter are undecided at the end, or were so for more than half
+    /// of the time. A warning states the reason.
     #[serde(skip)]
-    pub ends_undecided: bool,
+    pub is_undecided: bool,
     /// Final state and changes of the model classes. `None` if there is a single model.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<ClassSummary>,
@@ -492,9 +493,6 @@ impl Collector {
         let warnings = warnings
             .chain(fit.as_ref().and_then(FitSummary::warning))
             .chain(unmeasured.map(str::to_owned));
-        let undecided = self.undecided_warnings();
-        let ends_undecided = !undecided.is_empty();
-        let warnings = warnings.chain(undecided).collect();
         let mut decided = Ordered::default();
         for (parameter, frames) in &self.decided {
             if let (Some(name), Some(summary)) =
@@ -503,6 +501,10 @@ impl Collector {
                 decided.push(name.clone(), summary);
             }
         }
+        let mut undecided = self.undecided_warnings();
+        undecided.extend(DecidedSummary::warning(decided.iter()));
+        let is_undecided = !undecided.is_empty();
+        let warnings = warnings.chain(undecided).collect();
         let alerts = self
             .alerts
             .into_iter()
@@ -521,7 +523,7 @@ impl Collector {
             decided,
             misfit,
             warnings,
-            ends_undecided,
+            is_undecided,
             classes: self.classes.finish(t0_ns),
             nodes: self.nodes.finish(),
             samples: self.samples,

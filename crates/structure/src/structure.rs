@@ -245,7 +245,8 @@ impl Structure {
     }
 
     /// Returns the number of frames per sample of each frame channel: 1 unless its node is slower.
-    pub(crate) fn frames_per_sample(&self) -> Vec<u64> {
+    #[must_use]
+    pub fn frames_per_sample(&self) -> Vec<u64> {
         let every = |node: &Node| {
             node.sampling_rate_hz()
                 .map_or(1.0, |rate_hz| self.sampling_rate_hz / rate_hz)

@@ -4,7 +4,7 @@ use super::{Decision, Stage};
 use crate::credibility::{loss_estimate, probability_of_loss};
 use crate::wording::{Before, describe};
 use crate::{Alert, ParameterEstimate};
-use spandrel_bus::{AlertState, EstimateFlags, losses_agree};
+use spandrel_bus::{AlertState, EstimateFlags, Phase, losses_agree};
 
 /// Minimum time between revisions of a raised alert, ns of measurement time.
 const REVISED_EVERY_NS: i64 = 1_000_000_000;
@@ -103,6 +103,9 @@ impl Decision {
         let before = Before {
             alert: self.last_alert.as_ref(),
             now: self.last.map_or(estimate, |(now, _)| now),
+            is_silent: self
+                .last
+                .is_some_and(|(_, flags)| flags.phase == Phase::ResponseSilent),
             shaking: shaking.as_ref(),
             modes: self.contradicting_modes.as_deref(),
         };

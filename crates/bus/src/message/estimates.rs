@@ -21,6 +21,9 @@ pub enum Phase {
     ExcitationSilent,
     /// A sensor in use is probably faulty, so that the estimate is unreliable.
     SensorInDoubt,
+    /// No sensor of the response has delivered a usable sample for a second, so that the estimate is a
+    /// prediction.
+    ResponseSilent,
 }
 
 /// Special conditions of one frame.

@@ -100,7 +100,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             misfit_settings,
             Memory {
                 fading: settings.fading,
-                teaches: *teaches,
+                fades: *teaches && !state.fresh,
             },
             PriorSpread {
                 std: &settings.prior_std,

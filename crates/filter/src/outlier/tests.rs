@@ -413,6 +413,31 @@ fn faulty_channel_is_identified_and_used_again_after_its_repair() {
 }
 
 #[test]
+fn faulty_channel_stays_faulty_after_a_reset_of_the_motion() {
+    let factor = |channel: usize| if channel == 2 { 50.0 } else { 1.0 };
+    let (mut state, _) = feed(3000, 3, |channel, step| match step {
+        ..1000 => 1.0,
+        _ => factor(channel),
+    });
+    assert!(state.channels()[2].faulty());
+    state.retrain();
+    let settings = OutlierSettings {
+        fault_window: 500,
+        ..settings(5000)
+    };
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let mut sorted = Vec::new();
+    for step in 0..2000 {
+        let residual = |channel| factor(channel) * random.sample::<f64, _>(StandardNormal);
+        let mut residuals = [0, 1, 2].map(residual);
+        state.screen(&settings, &mut residuals, &[1.0; 3], false, &mut sorted);
+        assert!(residuals[2].is_nan(), "used at step {step}");
+    }
+    let faulty = state.channels().iter().map(ChannelScreen::faulty);
+    assert_eq!(faulty.collect::<Vec<_>>(), [false, false, true]);
+}
+
+#[test]
 fn growing_motion_on_all_channels_is_no_sensor_fault() {
     let (state, changes) = feed(6000, 4, |_, step| if step < 1000 { 1.0 } else { 20.0 });
     assert!(

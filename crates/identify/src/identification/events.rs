@@ -67,6 +67,7 @@ impl Identification {
         let Some(stream) = self.stream else { return };
         let spans = Spans {
             long: stream.bridged_frames().max(1),
+            short: self.silent_frames(stream),
             stuck: stream.stuck_frames(),
         };
         for input in 0..self.excitation.len() {

@@ -8,6 +8,8 @@ pub(super) struct Spans {
     /// Number of frames without samples after which an excitation is silent, and of frames with
     /// samples after which it is trusted again.
     pub(super) long: u64,
+    /// Number of frames without samples that interrupt a return.
+    pub(super) short: u64,
     /// Number of repetitions after which a sensor counts as stuck.
     pub(super) stuck: u64,
 }
@@ -21,7 +23,7 @@ pub(super) struct Hearing {
     known: bool,
     /// Number of consecutive frames without a sample.
     silent: u64,
-    /// Number of consecutive frames with a sample.
+    /// Number of frames since the samples returned.
     heard: u64,
     /// The last sample.
     last: f64,
@@ -61,10 +63,13 @@ impl Hearing {
         self.count_repeats(value, moves);
         let is_heard = !value.is_nan() && !self.is_stuck(spans);
         self.known |= is_heard;
-        (self.silent, self.heard) = if is_heard {
-            (0, self.heard + 1)
-        } else {
-            (self.silent + 1, 0)
+        self.silent = if is_heard { 0 } else { self.silent + 1 };
+        // Single lost samples, and the frames between those of a slower node, do not interrupt a return.
+        let is_interrupted = self.is_stuck(spans) || self.silent >= spans.short;
+        let has_returned = is_heard || self.heard > 0;
+        self.heard = match has_returned && !is_interrupted {
+            true => self.heard + 1,
+            false => 0,
         };
         if !self.lost && (self.is_stuck(spans) || self.silent >= spans.long) {
             self.lost = true;
@@ -112,7 +117,11 @@ impl Hearing {
 mod tests {
     use super::*;
 
-    const SPANS: Spans = Spans { long: 10, stuck: 5 };
+    const SPANS: Spans = Spans {
+        long: 10,
+        short: 3,
+        stuck: 5,
+    };
 
     /// Processes samples while the structure moves. Returns the changes and the indices of their
     /// samples.
@@ -158,6 +167,26 @@ mod tests {
             [(5, Heard::Stuck)]
         );
         assert_eq!(Hearing::new(false).take(None, true, SPANS), None);
+    }
+
+    #[test]
+    fn slower_node_returns_and_a_short_silence_interrupts_a_return() {
+        let silence = [f64::NAN; 10];
+        let slow = (0..5).flat_map(|value| [f64::from(value), f64::NAN]);
+        let found = changes(
+            &mut Hearing::new(false),
+            silence.into_iter().chain(slow),
+            true,
+        );
+        assert_eq!(found, [(9, Heard::Silent), (19, Heard::Again)]);
+        let moving = |count: i32| (0..count).map(f64::from);
+        let interrupted = silence.into_iter().chain(moving(8)).chain([f64::NAN; 3]);
+        let found = changes(
+            &mut Hearing::new(false),
+            interrupted.chain(moving(12)),
+            true,
+        );
+        assert_eq!(found, [(9, Heard::Silent), (30, Heard::Again)]);
     }
 
     #[test]

@@ -68,7 +68,7 @@ const RELIABLE: f64 = 0.5;
 /// vibration shows the stiffness although the excitation is unknown.
 const FREE_VIBRATION: f64 = 100.0;
 
-/// Constants of the mean squares of one structure.
+/// Constants of the mean squares of one channel.
 #[derive(Debug, Clone, Copy)]
 struct Band {
     /// Fundamental period in samples.
@@ -78,18 +78,22 @@ struct Band {
     high: f64,
     /// Share of the variance of white noise that passes the band.
     passes: f64,
+    /// Number of frames per sample.
+    stride: u64,
 }
 
 impl Band {
-    fn new(structure: &Structure) -> Self {
-        let period_steps =
-            (structure.fundamental_period_s() * structure.sampling_rate_hz()).max(2.0);
+    /// Creates the constants of a channel with a sample in every `stride`-th frame.
+    fn new(structure: &Structure, stride: u64) -> Self {
+        let frames = structure.fundamental_period_s() * structure.sampling_rate_hz();
+        let period_steps = (frames / stride as f64).max(2.0);
         let coefficient = |multiple: f64| 1.0 - (-TAU * multiple / period_steps).exp();
         let mut band = Self {
             period_steps,
             low: coefficient(BAND.1),
             high: coefficient(BAND.0),
             passes: 1.0,
+            stride,
         };
         let mut probe = BandPower {
             offset: Some(0.0),
@@ -171,17 +175,18 @@ impl BandPower {
     }
 
     /// Returns the variance of the noise in the band. It is at most the stated variance and at most
-    /// the smallest mean square.
+    /// the smallest mean square, unless that is too small for a connected sensor.
     fn noise(&self, stated: f64, band: &Band) -> f64 {
         let in_band = stated * band.passes;
-        self.quietest
-            .map_or(in_band, |least| in_band.min(OF_QUIETEST * least))
+        self.quietest.map_or(in_band, |least| {
+            (OF_QUIETEST * least).clamp(in_band / CONFIRMED, in_band)
+        })
     }
 
     /// Returns the present mean square for this variance of the noise, or `None` in the first
     /// period and without samples for a period.
     fn present_mean_square(&self, noise: f64, band: &Band) -> Option<f64> {
-        if self.complete == 0 || self.missing as f64 > band.period_steps {
+        if self.complete == 0 || self.missing as f64 > band.period_steps * band.stride as f64 {
             return None;
         }
         Some(if self.onset > ONSET * noise {
@@ -201,15 +206,23 @@ pub(crate) struct ReliabilityState {
     responses: Vec<BandPower>,
 }
 
+/// What the structure file states of a channel.
+#[derive(Debug, Clone, Copy)]
+struct Measured {
+    /// Variance of the noise.
+    variance: f64,
+    /// Whether it measures the acceleration of the ground, or of a floor, which follows the ground.
+    is_acceleration: bool,
+    band: Band,
+}
+
 /// The reliability of each component of the excitation.
 #[derive(Debug, Clone)]
 pub(super) struct Reliability {
-    band: Band,
-    /// Measured components: stated variance of the noise, and whether the floors follow it.
-    measured: Vec<Option<(f64, bool)>>,
-    /// Observation rows: stated variance of the noise, and whether they measure the acceleration of
-    /// a floor.
-    responses: Vec<(f64, bool)>,
+    /// Measured components.
+    measured: Vec<Option<Measured>>,
+    /// Observation rows.
+    responses: Vec<Measured>,
     state: ReliabilityState,
     /// `κ` of each component.
     shares: Vec<f64>,
@@ -220,33 +233,31 @@ pub(super) struct Reliability {
 impl Reliability {
     pub(super) fn new(structure: &Structure) -> Self {
         let channels: Vec<_> = structure.channels().collect();
-        let measured: Vec<_> = structure
-            .excitation_channels()
-            .iter()
-            .map(|channel| {
-                let channel = channels.get((*channel)?)?;
-                let moves_floors = channel.quantity() == Quantity::GroundAcceleration;
-                Some((channel.noise_std().powi(2), moves_floors))
+        let strides = structure.frames_per_sample();
+        let measured = |channel: usize, acceleration: Quantity| {
+            let stated = channels.get(channel)?;
+            Some(Measured {
+                variance: stated.noise_std().powi(2),
+                is_acceleration: stated.quantity() == acceleration,
+                band: Band::new(structure, *strides.get(channel)?),
             })
+        };
+        let excitations = structure.excitation_channels().iter();
+        let excitations: Vec<_> = excitations
+            .map(|channel| measured((*channel)?, Quantity::GroundAcceleration))
             .collect();
-        let responses: Vec<_> = structure
-            .observation_channels()
-            .iter()
-            .filter_map(|channel| channels.get(*channel))
-            .map(|channel| {
-                let is_floor = channel.quantity() == Quantity::AbsoluteAcceleration;
-                (channel.noise_std().powi(2), is_floor)
-            })
+        let responses = structure.observation_channels().iter();
+        let responses: Vec<_> = responses
+            .filter_map(|channel| measured(*channel, Quantity::AbsoluteAcceleration))
             .collect();
         Self {
-            band: Band::new(structure),
             state: ReliabilityState {
-                excitations: vec![BandPower::default(); measured.len()],
+                excitations: vec![BandPower::default(); excitations.len()],
                 responses: vec![BandPower::default(); responses.len()],
             },
-            shares: vec![1.0; measured.len()],
+            shares: vec![1.0; excitations.len()],
             teaches: true,
-            measured,
+            measured: excitations,
             responses,
         }
     }
@@ -297,17 +308,17 @@ impl Reliability {
 
     /// Processes the samples of a frame, NaN where missing.
     pub(super) fn take(&mut self, excitation: &[f64], observations: &[f64]) {
-        let band = &self.band;
         let (mut of_floors, mut response) = (None, 0.0f64);
         let responses = self.state.responses.iter_mut().zip(&self.responses);
-        for ((power, (stated, is_floor)), value) in responses.zip(observations) {
+        for ((power, measured), value) in responses.zip(observations) {
+            let band = &measured.band;
             power.take(*value, band);
-            let noise = power.noise(*stated, band);
+            let noise = power.noise(measured.variance, band);
             let Some(mean_square) = power.present_mean_square(noise, band) else {
                 continue;
             };
             response = response.max(mean_square / noise);
-            if *is_floor {
+            if measured.is_acceleration {
                 of_floors = Some(mean_square.max(of_floors.unwrap_or(0.0)));
             }
         }
@@ -316,11 +327,12 @@ impl Reliability {
         for ((share, (power, measured)), value) in
             self.shares.iter_mut().zip(components).zip(excitation)
         {
-            let Some((stated, moves_floors)) = *measured else {
+            let Some(measured) = measured else {
                 continue;
             };
+            let band = &measured.band;
             power.take(*value, band);
-            let noise = power.noise(stated, band);
+            let noise = power.noise(measured.variance, band);
             let Some(mean_square) = power.present_mean_square(noise, band) else {
                 *share = 1.0;
                 continue;
@@ -328,7 +340,7 @@ impl Reliability {
             let motion = (mean_square - noise).max(0.0);
             let confirmed = match of_floors {
                 _ if mean_square > CONFIRMED * noise => motion,
-                Some(most) if moves_floors => motion.min(most / AMPLIFICATION),
+                Some(most) if measured.is_acceleration => motion.min(most / AMPLIFICATION),
                 Some(_) | None => motion,
             };
             *share = if confirmed > 0.0 {
@@ -365,9 +377,15 @@ mod tests {
 
     /// A storey of 1 Hz with two floors on a measured ground, at 100 samples per second.
     fn reliability() -> Reliability {
+        Reliability::new(&structure(""))
+    }
+
+    /// The structure of [`reliability`] with this line in the node of the ground.
+    fn structure(of_ground: &str) -> Structure {
         let channel = |name: &str, measures: &str| {
+            let of_node = if name == "ground" { of_ground } else { "" };
             format!(
-                "[[node]]\nname = \"{name}\"\n[[node.channel]]\nname = \"{name}\"\n{measures}\n\
+                "[[node]]\nname = \"{name}\"\n{of_node}[[node.channel]]\nname = \"{name}\"\n{measures}\n\
                  unit = \"m/s2\"\nnoise-std = {NOISE}\n"
             )
         };
@@ -388,9 +406,7 @@ mod tests {
             floor(1),
             floor(2),
         ];
-        Reliability::new(
-            &Structure::parse(&text.concat(), std::path::Path::new("house.toml")).unwrap(),
-        )
+        Structure::parse(&text.concat(), std::path::Path::new("house.toml")).unwrap()
     }
 
     /// Standard deviations of the motion of ground and floors, and of the noise of the ground.
@@ -435,7 +451,7 @@ mod tests {
         let mut reliability = reliability();
         run(&mut reliability, &[(400.0, REST)], 1);
         let measured = reliability.state.excitations[0].mean_square;
-        let expected = NOISE * NOISE * reliability.band.passes;
+        let expected = NOISE * NOISE * reliability.responses[0].band.passes;
         assert!(
             (measured / expected - 1.0).abs() < 0.5,
             "{measured} {expected}"
@@ -536,7 +552,55 @@ mod tests {
             noise: 0.1 * NOISE,
         };
         let shares = run(&mut reliability(), &[(30.0, quiet), (30.0, weak)], 1);
-        assert!(shares[1000..].iter().all(|(share, _)| *share > 0.95));
+        // The noise counts as at least a sixteenth of the stated variance: 1 - 1/16.
+        assert!(shares[1000..].iter().all(|(share, _)| *share > 0.9));
+    }
+
+    #[test]
+    fn unplugged_sensor_does_not_make_later_noise_a_motion() {
+        let unplugged = Level {
+            ground: 0.0,
+            noise: 1e-6,
+            ..STRONG
+        };
+        for seed in 1..=20 {
+            let levels = [(30.0, STRONG), (20.0, unplugged), (60.0, REST)];
+            let rest = run(&mut reliability(), &levels, seed);
+            let right = share_of(&rest, |share, teaches| share < 0.5 && !teaches);
+            assert!(right > 0.99, "ground, seed {seed}: {right}");
+
+            let mut reliability = reliability();
+            run(&mut reliability, &[(30.0, STRONG)], seed);
+            for step in 0..2000 {
+                let moves = (f64::from(step) / 5.0).sin();
+                reliability.take(&[moves], &[3.0 * moves, 1e-6 * moves]);
+            }
+            let rest = run(&mut reliability, &[(60.0, REST)], seed);
+            let right = share_of(&rest, |_, teaches| !teaches);
+            assert!(right > 0.99, "floor, seed {seed}: {right}");
+        }
+    }
+
+    #[test]
+    fn slower_channel_has_the_same_band() {
+        let structure = structure("sampling-rate-hz = 25\n");
+        let mut reliability = Reliability::new(&structure);
+        // Half the fundamental frequency lies in the band, and a sixteenth of it does not.
+        for (multiple, least, most) in [(0.5, 0.5, 1.0), (0.0625, 0.0, 0.2)] {
+            for frame in 0..40_000 {
+                let value = (TAU * multiple * f64::from(frame) / 100.0).sin();
+                let slow = if frame % 4 == 0 { value } else { f64::NAN };
+                reliability.take(&[slow], &[value, value]);
+            }
+            let [ground] = &reliability.state.excitations[..] else {
+                panic!("one excitation");
+            };
+            let floor = &reliability.state.responses[0];
+            for power in [ground, floor] {
+                let share = power.mean_square / 0.5;
+                assert!((least..most).contains(&share), "{multiple}: {share}");
+            }
+        }
     }
 
     #[test]

@@ -530,6 +530,29 @@ fn excitation_without_samples_is_reported_once() {
     );
 }
 
+/// All floors are silent for a minute, while the ground is measured.
+#[test]
+fn prediction_without_response_is_flagged_and_does_not_become_more_certain() {
+    let mut block = frames(12_000);
+    for frame in block.values.chunks_exact_mut(6).skip(6000) {
+        frame[1..].fill(f64::NAN);
+    }
+    let outputs = run(vec![block]);
+    let estimates = estimates(&outputs);
+    let variances = |frame: usize| -> Vec<f64> {
+        let estimate: &Estimate = estimates[frame];
+        let of_parameter = |j| estimate.variance(j).unwrap();
+        (0..estimate.mean.len()).map(of_parameter).collect()
+    };
+    let (first, last) = (variances(6000), variances(11_999));
+    for (j, (first, last)) in first.iter().zip(&last).enumerate() {
+        assert!(last >= first, "parameter {j}: {first} to {last}");
+    }
+    let is_silent = |estimate: &&Estimate| estimate.flags.phase == Phase::ResponseSilent;
+    assert_eq!(estimates.iter().position(is_silent), Some(6099));
+    assert!(estimates[6099..].iter().all(is_silent));
+}
+
 #[test]
 fn silent_excitation_is_trusted_only_after_an_equally_long_return() {
     let (structure, mut block) = of_text(

@@ -6,6 +6,9 @@ use spandrel_alert::DecidedFrames;
 use spandrel_bus::UndecidedBecause;
 use std::collections::BTreeMap;
 
+/// Share of the time with decisions below which a summary warns.
+const LEAST_DECIDED: f64 = 0.5;
+
 /// Shares of the frames of one parameter since its reference was known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DecidedSummary {
@@ -16,6 +19,21 @@ pub struct DecidedSummary {
 }
 
 impl DecidedSummary {
+    /// Returns the warning about parameters that were decided for less than half of the time.
+    pub(super) fn warning<'a>(all: impl Iterator<Item = (&'a str, &'a Self)>) -> Option<String> {
+        let (names, shares): (Vec<&str>, Vec<f64>) = all
+            .filter(|(_, summary)| summary.share < LEAST_DECIDED)
+            .map(|(name, summary)| (name, summary.share))
+            .unzip();
+        (!names.is_empty()).then(|| {
+            format!(
+                "alerts of {} were decided for only {} of the time, so that a loss can be missed",
+                names.join(", "),
+                range(shares.into_iter())
+            )
+        })
+    }
+
     /// Returns the shares of a parameter, or `None` if its reference never became known.
     pub(super) fn of(frames: &DecidedFrames) -> Option<Self> {
         let share = frames.share()?;
@@ -75,6 +93,28 @@ fn range(shares: impl Iterator<Item = f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn little_decided_time_is_a_warning() {
+        let of = |share| DecidedSummary {
+            share,
+            undecided: BTreeMap::new(),
+        };
+        let all = [
+            ("storey-1".to_owned(), of(0.12)),
+            ("storey-2".to_owned(), of(0.9)),
+            ("storey-3".to_owned(), of(0.25)),
+        ];
+        let warning = |all: &[(String, DecidedSummary)]| {
+            DecidedSummary::warning(all.iter().map(|(name, summary)| (name.as_str(), summary)))
+        };
+        assert_eq!(
+            warning(&all).unwrap(),
+            "alerts of storey-1, storey-3 were decided for only 12 to 25 % of the time, so that a loss \
+             can be missed"
+        );
+        assert_eq!(warning(&all[1..2]), None);
+    }
 
     #[test]
     fn summary_lists_shares_with_their_reasons() {

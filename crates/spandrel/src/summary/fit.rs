@@ -47,12 +47,21 @@ impl FitCollector {
 
 impl FitSummary {
     /// Returns the warning that the estimates have no meaning, if the data contradict the model at
-    /// the end.
+    /// the end, or that they had none for more than a fifth of the time.
     ///
     /// The line of the verdict states the reasons.
     pub(super) fn warning(&self) -> Option<String> {
-        let is_contradicted = self.verdict == FitVerdict::Contradicted;
-        is_contradicted.then(|| format!("{}; the estimates have no meaning", self.verdict.words()))
+        let words = FitVerdict::Contradicted.words();
+        if self.verdict == FitVerdict::Contradicted {
+            return Some(format!("{words}; the estimates have no meaning"));
+        }
+        let share = *self.shares.get(&FitVerdict::Contradicted)?;
+        (share > LARGEST_CONTRADICTED).then(|| {
+            format!(
+                "for {} of the time, {words}; the estimates can still be wrong",
+                percent(share)
+            )
+        })
     }
 
     /// Returns the verdict with its reasons and the share of each verdict: `doubtful at the end
@@ -84,6 +93,9 @@ pub(super) fn percent(share: f64) -> String {
     }
     format!("{} %", text.strip_suffix(".0").unwrap_or(&text))
 }
+
+/// Share of the time with a contradicted fit above which a summary warns of it.
+const LARGEST_CONTRADICTED: f64 = 0.2;
 
 #[cfg(test)]
 mod tests {
@@ -124,6 +136,14 @@ mod tests {
         );
         let warning = "the data contradict the model; the estimates have no meaning";
         assert_eq!(summary.warning().as_deref(), Some(warning));
+        let later = FitSummary {
+            verdict: FitVerdict::Doubtful,
+            ..summary.clone()
+        };
+        assert_eq!(
+            later.warning().unwrap(),
+            "for 25 % of the time, the data contradict the model; the estimates can still be wrong"
+        );
         let json = serde_json::to_string(&summary).unwrap();
         assert_eq!(
             json,

@@ -65,8 +65,8 @@ impl Summary {
             writeln!(text, "warning: {warning}")?;
         }
         if self.alerts.is_empty() {
-            text.push_str(match self.ends_undecided {
-                true => "no alert; some parameters are undecided, see the warnings\n",
+            text.push_str(match self.is_undecided {
+                true => "no alert, but not everything was decided, see the warnings\n",
                 false => "no alert\n",
             });
         }

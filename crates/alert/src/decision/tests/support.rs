@@ -44,6 +44,12 @@ fn each_reason_prevents_a_raised_alert() {
             UndecidedBecause::ExcitationSilent,
         ),
         (
+            phase(Phase::ResponseSilent),
+            SOFT,
+            SURE,
+            UndecidedBecause::NothingLearnt,
+        ),
+        (
             contradicted(),
             SOFT,
             SURE,
@@ -78,6 +84,32 @@ fn each_reason_prevents_a_raised_alert() {
             (Some(0.0), vec![(because, 60)])
         );
     }
+}
+
+#[test]
+fn outage_interrupts_the_time_that_a_loss_must_last() {
+    let silent = EstimateFlags {
+        phase: Phase::ResponseSilent,
+        prediction_only: true,
+        ..EstimateFlags::working()
+    };
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..20, SOUND, SURE);
+    drive.estimates(20..22, SOFT, SURE);
+    drive.flagged(22..60, SOFT, SURE, silent);
+    drive.estimates(60..62, SOFT, SURE);
+    drive.estimates(62..80, SOUND, SURE);
+    let states = drive.states();
+    assert!(
+        states.iter().all(|(state, _)| *state != Raised),
+        "{states:?}"
+    );
+    let undecided = drive.alerts.iter().find(|alert| alert.state == Undecided);
+    assert_eq!(
+        undecided.unwrap().why,
+        "no decision on storey-2: no sensor of the response delivers usable samples (last estimate \
+         0.860 ± 0.010)"
+    );
 }
 
 #[test]
