@@ -47,7 +47,16 @@ const INDEPENDENT: f64 = 0.2;
 ///
 /// Most of the incoherent part is the same in all records. In 18 records of Painter Street, the
 /// factors scatter by less than half of what an independent incoherent part would cause.
-const INCOHERENT_SHARE: f64 = 0.25;
+pub(crate) const INCOHERENT_SHARE: f64 = 0.25;
+
+/// The same share if the incoherent part is noise, which differs between comparisons.
+///
+/// The delays of simulated sensors with white noise vary within a record by 0.3 to 0.5 of it.
+const NOISE_SHARE: f64 = 0.5;
+
+/// Scatter of the delay between records, in periods of the fundamental, below which the incoherent
+/// part is noise.
+const NOISE_BELOW: f64 = 0.015;
 
 /// Standard deviation of the elastic part of the designed response, as a share of it.
 const MODEL_STD: f64 = 0.1;
@@ -66,6 +75,8 @@ pub(crate) struct Expected {
     pub(crate) ln_gain: (f64, f64),
     /// Mean and standard deviation of the delay (s).
     pub(crate) delay_s: (f64, f64),
+    /// Share of the variance of the incoherent part that moves the delay.
+    pub(crate) delay_share: f64,
 }
 
 /// The designed responses of a group.
@@ -150,6 +161,11 @@ impl Responses {
             frequencies_hz,
             fundamental_hz,
         }
+    }
+
+    /// Returns the fundamental frequency (Hz).
+    pub(crate) fn fundamental_hz(&self) -> f64 {
+        self.fundamental_hz
     }
 }
 
@@ -428,7 +444,7 @@ impl Relation {
     fn variances(&self, expected: &Expected) -> (f64, f64) {
         (
             expected.ln_gain.1.powi(2) + INCOHERENT_SHARE * self.variance + self.model_variance,
-            expected.delay_s.1.powi(2) + INCOHERENT_SHARE * self.delay_variance,
+            expected.delay_s.1.powi(2) + expected.delay_share * self.delay_variance,
         )
     }
 
@@ -497,6 +513,16 @@ impl Relation {
             true => Fault::Delay(self.delay_s),
             false => Fault::Gain(self.gain),
         }
+    }
+}
+
+/// Returns the share of the variance of the incoherent part that moves the delay, for a scatter of the
+/// delay between records in periods of the fundamental.
+pub(crate) fn delay_share(scatter: f64) -> f64 {
+    if scatter < NOISE_BELOW {
+        NOISE_SHARE
+    } else {
+        INCOHERENT_SHARE
     }
 }
 

@@ -3,11 +3,13 @@
 use crate::channel::{ChannelHealth, Fault, Soundness};
 use crate::clipping::Extremes;
 use crate::finding::{Evidence, Finding};
-use crate::hypothesis::{Comparison, Expected, Relation, Responses, compare};
+use crate::hypothesis::{
+    Comparison, Expected, INCOHERENT_SHARE, Relation, Responses, compare, delay_share,
+};
 use crate::memory::Memory;
 use crate::offset::Offsets;
 use crate::profile::{BandFilters, BandPowers, ProfileReference, most_probable_exchange};
-use crate::reference::{ObservedRelation, SensorReference};
+use crate::reference::{ObservedRelation, SensorReference, delay_scatter_s};
 use crate::resonance::Resonances;
 use crate::spectrum::{Coefficients, OVERLAP, Spectrum, Windows};
 use nalgebra::Complex;
@@ -289,7 +291,8 @@ impl SensorCheck {
     /// The result omits channels that no record has observed. It is empty if there are no records.
     ///
     /// The scatter between the records is pooled with the usual scatter, which has the weight of
-    /// half a record.
+    /// half a record. The scatter of the delays is limited by an upper bound of what all channels of
+    /// the same motion have shown in the records.
     ///
     /// # Panics
     /// Panics if `names` does not contain a name for an observed channel.
@@ -301,12 +304,25 @@ impl SensorCheck {
     ) -> Vec<SensorReference> {
         let mut learnt = Vec::new();
         for group in &self.groups {
-            for (channel, usual) in group.channels.iter().zip(&group.usual) {
-                let of_channel = records.iter().filter_map(|record| *record.get(*channel)?);
-                let found: Vec<ObservedRelation> = of_channel.collect();
-                let is_new = |one: &SensorReference| one.channel != names[*channel];
+            let of_channel = |channel: &usize| -> Vec<ObservedRelation> {
+                let records = records.iter();
+                records
+                    .filter_map(|record| *record.get(*channel)?)
+                    .collect()
+            };
+            let found: Vec<Vec<ObservedRelation>> = group.channels.iter().map(of_channel).collect();
+            let delays_s = |found: &Vec<ObservedRelation>| -> Vec<f64> {
+                found.iter().map(|one| one.delay_s).collect()
+            };
+            let delays_s: Vec<Vec<f64>> = found.iter().map(delays_s).collect();
+            let period_s = 1.0 / group.responses.fundamental_hz();
+            let of_group_s = delay_scatter_s(&delays_s, period_s);
+            let of_channels = group.channels.iter().zip(&group.usual).zip(&found);
+            for ((channel, usual), found) in of_channels {
+                let name = names[*channel];
+                let is_new = |one: &SensorReference| one.channel != name;
                 if !found.is_empty() && learnt.iter().all(is_new) {
-                    learnt.push(SensorReference::of(names[*channel], &found, usual));
+                    learnt.push(SensorReference::of(name, found, usual, of_group_s));
                 }
             }
         }
@@ -317,6 +333,7 @@ impl SensorCheck {
     /// `names` contains the names of the channels in frame order.
     pub fn expect(&mut self, names: &[&str], references: &[SensorReference]) {
         for group in &mut self.groups {
+            let fundamental_hz = group.responses.fundamental_hz();
             let of_channels = group.expected.iter_mut().zip(&mut group.profiles);
             for (channel, (expected, profile)) in group.channels.iter().zip(of_channels) {
                 let known = references.iter().find(|one| one.channel == names[*channel]);
@@ -325,6 +342,7 @@ impl SensorCheck {
                     *expected = Expected {
                         ln_gain: (libm::log(known.gain), known.ln_gain_std),
                         delay_s: (known.delay_s, known.delay_std_s),
+                        delay_share: delay_share(known.delay_std_s * fundamental_hz),
                     };
                 }
             }
@@ -527,6 +545,7 @@ impl Group {
             let expected = Expected {
                 ln_gain: (0.0, SCATTER.0),
                 delay_s: (0.0, SCATTER.1 / motion.fundamental_hz()),
+                delay_share: INCOHERENT_SHARE,
             };
             Self {
                 channels: own.iter().map(|member| members[*member]).collect(),
