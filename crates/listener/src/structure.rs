@@ -132,7 +132,9 @@ impl StructureState {
                     self.losses.remove(&name);
                     self.losses_at.remove(&name);
                 }
-                if keep(&mut self.parameters, name, display, left_out) {
+                let is_kept = keep(&mut self.parameters, name, display, left_out);
+                // `modes` repeats the estimates of its last epoch, also while no frame arrives.
+                if is_kept && !self.has_only_modes() {
                     self.arrivals.value(time_ns, self.now);
                     self.time_ns = Some(time_ns);
                 }
@@ -296,11 +298,12 @@ impl StructureState {
             && self.instances.is_empty()
     }
 
-    /// Returns `true` if the structure has no model, so that only its natural frequencies are
-    /// tracked.
+    /// Returns `true` if no filter identifies the structure, so that only its natural frequencies
+    /// are tracked. They may also update parameters.
     ///
     /// This is the case if a `modes` service has been present, and neither `identify` nor `fuse`.
-    /// Without estimates, frames are then the sign that data arrives.
+    /// Frames are then the sign that data arrives, because an epoch has an estimate only at its
+    /// end.
     #[must_use]
     pub fn has_only_modes(&self) -> bool {
         let is_seen = |wanted: Service| self.seen.iter().any(|(seen, _)| *seen == wanted);

@@ -92,6 +92,28 @@ fn reread_values_after_a_restart_do_not_end_a_silence() {
     assert!(!tower(&structures).is_from_the_recording());
 }
 
+/// Regression test: the repeated parameters of `modes` counted as data. A structure without sensors
+/// was therefore never stale for more than a few seconds.
+#[test]
+fn repeated_parameters_of_modes_do_not_hide_that_no_frame_arrives() {
+    let repeated = || Input::Parameter(parameter("storey-1", 300));
+    let mut structures = after([
+        at(10),
+        present(&[(Service::Ingest, "a"), (Service::Modes, "a")]),
+        ingested(7, 200),
+        ingested(7, 310),
+        repeated(),
+    ]);
+    assert_eq!(stale_for_s(&structures), None);
+    for second in [15, 20] {
+        changes(&mut structures, at(second));
+        changes(&mut structures, repeated());
+        changes(&mut structures, ingested(7, 310));
+    }
+    assert_eq!(stale_for_s(&structures), Some(10));
+    assert_eq!(tower(&structures).time_ns, Some(310), "time of the frames");
+}
+
 #[test]
 fn a_status_does_not_hide_that_data_are_stale() {
     let value = Input::Parameter(parameter("storey-1", 0));
