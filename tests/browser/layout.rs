@@ -1,9 +1,10 @@
 //! Tests of the layout of the page: labels of marks, names in the drawing, and columns of a table.
 //! Another test checks that the page shows its connection immediately.
 
-use super::{Program, browser, free_address};
+use super::{Program, browser, free_address, run_in};
 use serde_json::{Value, json};
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 pub(super) fn example(name: &str) -> String {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -340,4 +341,95 @@ async fn the_table_of_parts_fits_on_a_small_screen() {
             }
         }
     }
+}
+
+/// Regression test: on a phone, the report of natural frequencies printed a time over the share
+/// beside it. The page showed the last 10 minutes, which hold two epochs. The names in a
+/// spectrogram were white on white. The settings stated a filter that the structure does not have.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_structure_of_natural_frequencies_is_readable_on_a_phone() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(example("modes/stiffness.toml")).unwrap();
+    let short = text
+        .replace("epoch-s = 300", "epoch-s = 100")
+        .replace("commissioning-epochs = 6", "commissioning-epochs = 2");
+    assert_ne!(text, short);
+    let structure = folder.path().join("stiffness.toml");
+    std::fs::write(&structure, short).unwrap();
+    let structure = structure.to_str().unwrap();
+    let (run, endpoint) = run_in(folder.path(), structure);
+    browser.resize(390, 844).await;
+    browser.prefer("light").await;
+    browser
+        .open(&format!("{}#/structure/stiffness/sensors", run.page))
+        .await;
+    browser
+        .wait(
+            "the table of sensors",
+            "document.querySelector('#sensors tbody tr')",
+        )
+        .await;
+    let simulation = ["--duration", "420", "--speed", "60", "--connect", &endpoint];
+    let simulate = [&["simulate", structure], &simulation[..]].concat();
+    let mut simulation = Command::new(env!("CARGO_BIN_EXE_spandrel"))
+        .args(simulate)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    // The plates of the names are the only pixels of this colour.
+    let plates = "(() => {
+        const plot = document.querySelector('#plot-spectrogram-floor-2');
+        plot?.scrollIntoView();
+        const canvas = plot?.querySelector('canvas');
+        if (!canvas) return 0;
+        const ink = [0x14, 0x20, 0x2b];
+        const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        let count = 0;
+        for (let at = 0; at < data.length; at += 4) count += ink.every((one, colour) => data[at + colour] === one);
+        return count;
+      })()";
+    browser
+        .wait("the names in a spectrogram", &format!("{plates} > 50"))
+        .await;
+    assert!(simulation.wait().unwrap().success());
+
+    browser
+        .evaluate("location.hash = '#/structure/stiffness'")
+        .await;
+    let pressed = "document.querySelector('.ranges [aria-pressed=true]')?.textContent === '1 day'";
+    browser.wait("a span of a day", pressed).await;
+    browser
+        .evaluate("location.hash = '#/structure/stiffness/settings'")
+        .await;
+    browser
+        .wait(
+            "what identifies the structure",
+            "(document.querySelector('#panel-settings')?.innerText ?? '').includes('model updated from natural frequencies')",
+        )
+        .await;
+
+    browser.evaluate("location.hash = '#/report'").await;
+    browser
+        .wait(
+            "the report of the modes",
+            "document.querySelector('.report[data-state=complete] .is-modes tbody tr')",
+        )
+        .await;
+    let over =
+        "[...document.querySelectorAll('.report-table :is(td, tbody th)')].filter((cell) => {
+        const range = document.createRange();
+        range.selectNodeContents(cell);
+        return range.getBoundingClientRect().right > cell.getBoundingClientRect().right + 1;
+      }).map((cell) => cell.textContent)";
+    for width in [360, 390] {
+        browser.resize(width, 844).await;
+        let found = browser.evaluate(over).await;
+        assert_eq!(found, json!([]), "{width} pixels");
+    }
+    browser.screenshot("natural-frequencies-phone").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
 }

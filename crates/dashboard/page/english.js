@@ -489,6 +489,7 @@ export const english = {
   "window": "window",
   "windows": "windows",
   "with": " with {0}",
+  "without-a-filter-these-rules-raise-no": "These rules raise no alert, because no filter identifies the structure.",
   "without-frost": ", without frost",
   "word-absolute-acceleration": "absolute acceleration",
   "word-blind": "blind",

@@ -489,6 +489,7 @@ export const german = {
   "window": "Fenster",
   "windows": "Fenstern",
   "with": " mit {0}",
+  "without-a-filter-these-rules-raise-no": "Diese Regeln lösen keine Warnung aus, weil kein Filter das Bauwerk identifiziert.",
   "without-frost": ", ohne Frost",
   "word-absolute-acceleration": "absolute Beschleunigung",
   "word-blind": "blind",

@@ -6,7 +6,7 @@ import { PlotGroup } from "./groups.js";
 import { t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, isOpen, judged, judgedEstimate, judgementWords, modeWords, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
+import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -79,7 +79,7 @@ export class NowTab {
       const state = alert ? stateOf(alert) : null;
       part.element.dataset.level = state?.level ?? "learning";
       part.state.title = alert?.unwatched?.why ?? "";
-      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : !this.page.about.is_filtered ? (this.page.about.judged.length > 0 ? t("not-judged-within-seconds") : t("not-judged-now")) : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
+      setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : !this.page.about.is_filtered ? notJudged(this.page.about) : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
       const loss = standing.losses[parameter.name];
       // Without a finding, the interval of the filter would contradict the probability beside it.
       const own = isOpen(alert) && parameter.stiffness && loss ? judgedEstimate({ loss: loss.loss, ...loss.interval }, loss.reference) : null;

@@ -349,8 +349,8 @@ export class Plot {
       ctx.stroke();
     };
     // On a plate, so that no line strikes through the text.
-    const write = (text, x, y, colour) => {
-      ctx.fillStyle = css("--card");
+    const write = (text, x, y, colour, plate = "--card") => {
+      ctx.fillStyle = css(plate);
       if (text) ctx.fillRect(x - 2 * size, y - 11 * size, ctx.measureText(text).width + 4 * size, 14 * size);
       ctx.fillStyle = colour;
       ctx.fillText(text, x, y);
@@ -364,7 +364,9 @@ export class Plot {
       const colour = css(mark.colour ?? "--ink-soft");
       line(colour, [6, 4], [left, y], [right, y]);
       const isBelow = mark.isBelow ? y < bottom - 16 * size : y < bbox.top + 16 * size;
-      texts.push([mark.text, left + 6 * size, isBelow ? y + 15 * size : y - 5 * size, colour]);
+      const at = isBelow ? y + 15 * size : y - 5 * size;
+      // A label that would cover a more important one is left out.
+      if (texts.every(([, , other]) => Math.abs(other - at) >= WORD_ROW * size)) texts.push([mark.text, left + 6 * size, at, colour, mark.plate]);
     }
     // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);

@@ -6,7 +6,7 @@ import { h, setText } from "./dom.js";
 import { eventWords } from "./events.js";
 import { t } from "./language.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -244,7 +244,7 @@ function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
 function parameterTable(about, overview, standing, changes, series, period) {
   const ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
   const rows = about.parameters.map((parameter) => {
-    const { level, words, isOpen } = stateAtEnd(parameter, ruled, overview, standing, changes, period);
+    const { level, words, isOpen } = !about.is_filtered ? { level: "learning", words: notJudged(about) } : stateAtEnd(parameter, ruled, overview, standing, changes, period);
     const [, means, stds] = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
     const row = means.findLastIndex((mean) => mean !== null);
     const [mean, std] = [means[row], stds[row]];
@@ -297,7 +297,7 @@ function figure(title, last, plot) {
 
 function modeList({ modes }) {
   if (modes.length === 0) return h("p", { class: "group-text" }, t("the-service-modes-has-not-completed-an"));
-  return table(COLUMNS.modes, modes.map(modeWords), { label: t("natural-frequencies") });
+  return table(COLUMNS.modes, modes.map(modeWords), { label: t("natural-frequencies"), className: "is-modes" });
 }
 
 function sensorTable({ drawing }, { sensors }) {

@@ -4,6 +4,12 @@ import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { COLUMNS, count, lag, natural, number, unit } from "./words.js";
 
+/** Returns what identifies the structure. */
+function identification({ is_filtered: isFiltered, has_model: hasModel, distributed }) {
+  if (!isFiltered) return hasModel ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only");
+  return distributed ? t("by-each-node-combined-by-a-station") : t("in-one-place");
+}
+
 export class SettingsTab {
   key = "settings";
   hasSpan = false;
@@ -30,14 +36,14 @@ export class SettingsTab {
           { class: "facts" },
           fact(t("sampling-rate"), `${number(about.sampling_rate_hz)} Hz`),
           fact(t("display-rate"), `${number(about.display_rate_hz)} Hz`),
-          fact(t("identification"), about.distributed ? t("by-each-node-combined-by-a-station") : t("in-one-place")),
+          fact(t("identification"), identification(about)),
           fact(t("parameters"), String(about.parameters.length)),
           fact(t("channels"), String(about.drawing.sensors.length)),
-          fact(t("noise-levels"), about.noise.map(({ name }) => name).sort(natural).join(", ") || t("none")),
+          about.is_filtered && fact(t("noise-levels"), about.noise.map(({ name }) => name).sort(natural).join(", ") || t("none")),
           fact(t("conditions"), about.conditions.map(range).join(", ") || t("none")),
         ),
       ),
-      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", { class: "rules" }, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, t("the-structure-file-contains-no-rule"))),
+      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 && !about.is_filtered ? h("p", { class: "group-text" }, t("without-a-filter-these-rules-raise-no")) : null, rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", { class: "rules" }, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, t("the-structure-file-contains-no-rule"))),
       h("section", { class: "card" }, h("h2", {}, t("services")), h("div", scroll(t("services")), h("table", { class: "services" }, heads(COLUMNS.services), this.services))),
     );
   }

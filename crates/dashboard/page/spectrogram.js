@@ -107,7 +107,7 @@ export function spectrogramPlot(sensor, history, span, modes) {
       series: () => [{ paths: () => null }],
       range: () => [known().frequencies[0], known().frequencies.at(-1)],
       paint: (u) => paint(u, known(), scale),
-      marks: () => modes().map(({ name, frequency }) => ({ y: frequency, text: name, colour: "--card" })),
+      marks: () => modes().map(({ name, frequency }) => ({ y: frequency, text: name, colour: "--card", plate: "--ink" })),
       readout: (_, at) => {
         const { frequencies, spectra } = known();
         const { densities } = spectra[Math.min(at, spectra.length - 1)];

@@ -14,7 +14,7 @@ import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
 import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
-import { Points, Scale, Span } from "./span.js";
+import { DAY_S, Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
 import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, canBeSeen, fitWord, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
@@ -93,6 +93,8 @@ export class StructurePage {
       }
       if (!this.#isOpen) return;
       this.about = answer.about;
+      // Within minutes there are hardly any epochs of natural frequencies.
+      if (!this.about.is_filtered) Object.assign(this.span, { usual_s: DAY_S, length_s: DAY_S });
       this.span.newest_s = answer.overview.time_s;
       this.#build(answer.standing);
       this.#attend(answer.overview);

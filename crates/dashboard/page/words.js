@@ -49,6 +49,11 @@ export const AXES = {
 
 /** Words for a parameter without a state. */
 export const NO_RULE = t("no-alert-rule");
+
+/** Returns the state of a part of a structure without a filter. */
+export function notJudged({ judged }) {
+  return judged.length > 0 ? t("not-judged-within-seconds") : t("not-judged-now");
+}
 export const NOT_STIFFNESS = t("not-a-stiffness");
 
 /** Number of parts or structures above which a search field is shown. */
@@ -150,7 +155,7 @@ export function canBeSeen(alert) {
 
 /** Returns the verdict on the fit in one word. */
 export function fitWord(verdict) {
-  return verdict ? `${FITS[verdict].sign} ${wordOf(verdict)}` : t("not-judged");
+  return verdict ? `${FITS[verdict].sign}\u00a0${wordOf(verdict)}` : t("not-judged");
 }
 
 /** Steps of the probability of loss, shared by the drawing and its key. */

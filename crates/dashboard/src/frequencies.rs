@@ -25,7 +25,7 @@ pub(crate) fn attention(store: &Store) -> (Level, String) {
         ),
         _ if store.about.judged.is_empty() => (
             Level::Undecided,
-            "natural frequencies are followed, and [judge] judges none of them",
+            "natural frequencies are followed, but not judged: the structure file has no quantity in [judge]",
         ),
         _ if state.judgements.is_empty() => (Level::Learning, "no judgement yet"),
         Some(judgement) if judgement.state == JudgementState::Learning => {
