@@ -433,3 +433,63 @@ async fn a_structure_of_natural_frequencies_is_readable_on_a_phone() {
     browser.screenshot("natural-frequencies-phone").await;
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
+
+/// The table of the last minute is sorted by mouse and keyboard, and says how it is sorted.
+#[tokio::test(flavor = "multi_thread")]
+async fn sensors_are_sorted_by_the_title_that_is_pressed() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    browser
+        .open(&format!("{}#/structure/demo/sensors", demo.page))
+        .await;
+    browser
+        .wait(
+            "the end of the demo",
+            "document.body.innerText.includes('record has ended') && document.querySelectorAll('.levels tbody tr').length === 6",
+        )
+        .await;
+    let names =
+        "[...document.querySelectorAll('.levels tbody th')].map(({ textContent }) => textContent)";
+    let rms = "[...document.querySelectorAll('.levels tbody tr')].map(({ children }) => parseFloat(children[4].textContent))";
+    let title = "[...document.querySelectorAll('.levels thead th')].find(({ textContent }) => textContent === 'RMS')";
+    let order = format!("{title}.ariaSort");
+    let usual = browser.evaluate(names).await;
+    let is_sorted = |sign: i32| {
+        format!("{rms}.every((one, at, all) => at === 0 || {sign} * (one - all[at - 1]) >= 0)")
+    };
+    assert_eq!(browser.evaluate(&is_sorted(1)).await, false, "{usual}");
+    browser
+        .evaluate(&format!("{title}.querySelector('button').click()"))
+        .await;
+    assert_eq!(browser.evaluate(&order).await, "ascending");
+    assert_eq!(browser.evaluate(&is_sorted(1)).await, true);
+    browser
+        .evaluate(&format!("{title}.querySelector('button').focus()"))
+        .await;
+    browser.press("Enter").await;
+    assert_eq!(browser.evaluate(&order).await, "descending");
+    assert_eq!(browser.evaluate(&is_sorted(-1)).await, true);
+    browser.press("Enter").await;
+    assert_eq!(browser.evaluate(&order).await, Value::Null);
+    assert_eq!(browser.evaluate(names).await, usual);
+    // The names are in their natural order, and a state has an order of its own.
+    for (column, sorted) in [
+        ("Sensor", "#sensors"),
+        ("State", "#sensors"),
+        ("Quantity", "#sensors"),
+    ] {
+        let pressed = format!(
+            "(() => {{ const title = [...document.querySelectorAll('{sorted} thead th')].find(({{ textContent }}) => textContent === '{column}'); title.querySelector('button').click(); return [title.ariaSort, document.querySelectorAll('{sorted} [aria-sort]').length]; }})()"
+        );
+        assert_eq!(
+            browser.evaluate(&pressed).await,
+            json!(["ascending", 1]),
+            "{column}"
+        );
+    }
+    browser.screenshot("sensors-sorted").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}

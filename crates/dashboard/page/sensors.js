@@ -6,6 +6,7 @@ import { t } from "./language.js";
 import { NodeTable } from "./nodes.js";
 import { conditionPlot, nodePlot, outlierPlot, waveformPlot } from "./plots.js";
 import { searchField } from "./search.js";
+import { Sorting } from "./sorting.js";
 import { Scale } from "./span.js";
 import { Spectra, spectrumPlot } from "./spectra.js";
 import { spectrogramPlot } from "./spectrogram.js";
@@ -13,6 +14,9 @@ import { COLUMNS, HEALTH, HINTS, clockWords, compared, conditionWords, levelWord
 
 /** Number of sensors above which the plots of outliers are folded away. */
 const FOLDED_ABOVE = 6;
+
+/** The states of a sensor, in the order of a sorted table. */
+const STATES = Object.keys(HEALTH);
 
 export class SensorsTab {
   key = "sensors";
@@ -26,10 +30,12 @@ export class SensorsTab {
     const { about } = page;
     this.sensors = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, sensor]));
     this.rows = h("tbody");
-    const heads = h("tr", {}, COLUMNS.sensors.map((text) => h("th", { scope: "col", title: HINTS[text] }, text)));
-    this.heads = [...heads.children];
+    const changed = () => this.update(page.standing());
+    this.sorting = new Sorting(COLUMNS.sensors, HINTS, changed);
+    this.levelSorting = new Sorting(COLUMNS.levels, HINTS, changed);
+    const heads = h("tr", {}, this.sorting.heads);
     const scroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("sensors") };
-    this.search = searchField(this.sensors.size, t("find-a-sensor"), () => this.update(page.standing()));
+    this.search = searchField(this.sensors.size, t("find-a-sensor"), changed);
     const rate = t("all-channels-have-samples-per-second", number(about.sampling_rate_hz));
     this.nodes = new NodeTable();
     this.conditionList = h("ul", { class: "sensor-list", id: "conditions" });
@@ -48,7 +54,7 @@ export class SensorsTab {
     this.groups.nodes.holder.before(this.nodes.element);
     this.groups.conditions.holder.before(this.conditionList);
     for (const condition of about.conditions) this.groups.conditions.add(condition.name, () => conditionPlot(condition, page.points, page.span));
-    const levelHeads = h("tr", {}, COLUMNS.levels.map((text) => h("th", { scope: "col" }, text)));
+    const levelHeads = h("tr", {}, this.levelSorting.heads);
     const levelScroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("samples-of-the-last-minute") };
     const scale = h("label", { class: "check" }, this.own, t("each-plot-with-its-own-scale"));
     const levelText = t("rms-and-peak-are-differences-from-the");
@@ -100,7 +106,8 @@ export class SensorsTab {
       const cells = COLUMNS.sensors.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head })));
       return { element: h("tr", {}, cells), cells };
     };
-    keyed(this.rows, found, (sensor) => sensor.channel, make, (part, sensor) => this.#fill(part, sensor, outliers[sensor.channel], isReported));
+    const values = (sensor) => this.#values(sensor, outliers[sensor.channel]);
+    keyed(this.rows, this.sorting.sorted(found, values), (sensor) => sensor.channel, make, (part, sensor) => this.#fill(part, sensor, outliers[sensor.channel], isReported));
     this.#hideEmptyColumns();
     this.#showLevels(found);
     const names = new Set(found.map(({ channel }) => channel));
@@ -157,7 +164,8 @@ export class SensorsTab {
       const cells = COLUMNS.levels.map((head, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": head, class: column > 1 && column < COLUMNS.levels.length - 1 ? "number" : null })));
       return { element: h("tr", {}, cells), cells };
     };
-    keyed(this.levels, sensors, (sensor) => sensor.channel, make, ({ element, cells }, { channel, health, level }) => {
+    const values = ({ channel, health, level }) => [channel, STATES.indexOf(health), level?.rate_hz, level?.mean, level?.rms, level?.peak, level?.last];
+    keyed(this.levels, this.levelSorting.sorted(sensors, values), (sensor) => sensor.channel, make, ({ element, cells }, { channel, health, level }) => {
       const { sign, word, level: attention } = HEALTH[health];
       element.dataset.level = attention;
       const texts = [channel, `${sign} ${word}`, ...levelWords(level, this.sensors.get(channel)?.unit ?? "")];
@@ -166,6 +174,12 @@ export class SensorsTab {
         cells[column].classList.toggle("is-none", text === "–");
       });
     });
+  }
+
+  /** Returns the values of a row by which the table is sorted. */
+  #values({ channel, node, health, last_used_s: last, compared: of, clock }, outlier) {
+    const about = this.sensors.get(channel);
+    return [channel, about && wordOf(about.quantity), node, STATES.indexOf(health), last, of?.gain, of?.probability, clock ? clock.offset_s : 0, clock?.difference_s ?? 0, outlier?.recent_share];
   }
 
   #fill({ element, cells }, sensor, outlier, isReported) {
@@ -184,7 +198,7 @@ export class SensorsTab {
 
   #hideEmptyColumns() {
     const rows = [...this.rows.children];
-    this.heads.forEach((head, column) => {
+    this.sorting.heads.forEach((head, column) => {
       const cells = rows.map((row) => row.children[column]);
       const isEmpty = rows.length > 0 && cells.every(({ textContent }) => textContent === "–");
       for (const cell of [head, ...cells]) cell.hidden = isEmpty;

@@ -96,6 +96,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/settings.js", SCRIPT, "../page/settings.js"),
     asset!("/shapes.js", SCRIPT, "../page/shapes.js"),
     asset!("/smalls.js", SCRIPT, "../page/smalls.js"),
+    asset!("/sorting.js", SCRIPT, "../page/sorting.js"),
     asset!("/sparklines.js", SCRIPT, "../page/sparklines.js"),
     asset!("/spectra.js", SCRIPT, "../page/spectra.js"),
     asset!("/tabs.js", SCRIPT, "../page/tabs.js"),

@@ -1,0 +1,40 @@
+// Sorts the rows of a table by the column whose title is pressed.
+
+import { h, setAttribute } from "./dom.js";
+import { natural } from "./words.js";
+
+/** The next order of a column. Without one, the rows have their usual order. */
+const NEXT = new Map([[null, "ascending"], ["ascending", "descending"], ["descending", null]]);
+
+export class Sorting {
+  #column = null;
+  #order = null;
+
+  /** `changed()` is called after another column or order is chosen. */
+  constructor(titles, hints, changed) {
+    this.heads = titles.map((title, column) => {
+      const button = h("button", { type: "button", class: "sort", onclick: () => this.#choose(column, changed) }, title);
+      return h("th", { scope: "col", title: hints[title] }, button);
+    });
+  }
+
+  /**
+   * Returns the rows in the chosen order. `values(row)` returns a number, a text or null for each column.
+   * Rows without a value are last, and rows with the same value keep their order.
+   */
+  sorted(rows, values) {
+    if (this.#order === null) return rows;
+    const sign = this.#order === "ascending" ? 1 : -1;
+    const compare = (a, b) => (typeof a === "number" ? a - b : natural(a, b));
+    const valued = rows.map((row) => ({ row, value: values(row)[this.#column] ?? null }));
+    valued.sort(({ value: a }, { value: b }) => (a === null || b === null ? (a === null) - (b === null) : sign * compare(a, b)));
+    return valued.map(({ row }) => row);
+  }
+
+  #choose(column, changed) {
+    this.#order = NEXT.get(column === this.#column ? this.#order : null);
+    this.#column = column;
+    this.heads.forEach((head, index) => setAttribute(head, "aria-sort", index === column ? this.#order : null));
+    changed();
+  }
+}
