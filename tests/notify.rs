@@ -4,7 +4,7 @@ use crate::support::{DEADLINE, Process, Site, spandrel, two_storeys, within};
 use serde_json::Value;
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, Event, EventKind, Keys, MonitoringDisplay, MonitoringState,
-    Name, REFERENCE_IS_LEARNT, Service, Status,
+    Name, REFERENCE_IS_LEARNT, Service, Status, Subscription,
 };
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -848,6 +848,60 @@ async fn notice_of_an_alert_in_an_earthquake_links_to_the_report() {
     let advice = notice["advice"].as_str().unwrap();
     let link = "https://bridges.example/events/house/1970-01-01t00-01-10z.html";
     assert!(advice.contains(link), "{notice}");
+    notify.stop().expect_code(0);
+    bus.close().await.unwrap();
+}
+
+/// A receiver learns whom to call. The bus learns who was notified, so that the page shows it.
+#[tokio::test(flavor = "multi_thread")]
+async fn notices_name_a_contact_and_the_bus_learns_who_was_notified() {
+    let (contact, runbook) = ("Ada, +41 44 123 45 67", "https://site.example/alarm");
+    let head = format!("[structure]\ncontact = \"{contact}\"\nrunbook = \"{runbook}\"\n");
+    let site = Site::with(&two_storeys(DAMAGED).replacen("[structure]\n", &head, 1));
+    let (bus, keys) = (site.host().await, site.keys());
+    let events: Subscription<Event> = bus.subscribe(keys.event(), 64).await.unwrap();
+    let (hook, hooks) = http(1);
+    let text =
+        format!("[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\n[state]\nfolder = \"state\"\n");
+    let notify = start_notify(&site, &bus, &text).await;
+    let alerts = keys.alert(&Name::new("storey-2").unwrap());
+    let alerts = bus.publish_display(alerts).await.unwrap();
+    let raised = alert(&site, 104, AlertState::Raised);
+    alerts.put(&raised).await.unwrap();
+    for _ in 0..2 {
+        let notice = hooks.recv_timeout(DEADLINE).unwrap().body;
+        assert_eq!(
+            (&notice["contact"], &notice["runbook"]),
+            (&contact.into(), &runbook.into())
+        );
+    }
+    let host = format!("http://{hook}/");
+    let expected = [
+        (
+            EventKind::NoticeFailed,
+            format!("notice not sent to {host}"),
+            "replied with 503",
+        ),
+        (
+            EventKind::NoticeSent,
+            format!("notice sent to {host}"),
+            "raised at 1970-01-01T00:01:44Z",
+        ),
+    ];
+    for (kind, what, why) in expected {
+        let event: Event = loop {
+            let (_, event) = within("an event", events.messages().recv_async())
+                .await
+                .unwrap();
+            if matches!(event.kind, EventKind::NoticeFailed | EventKind::NoticeSent) {
+                break event;
+            }
+        };
+        assert_eq!((event.kind, &*event.subject), (kind, "storey-2"));
+        assert!(event.what.starts_with(&what), "{event:?}");
+        assert!(event.why.starts_with(why), "{event:?}");
+        assert!(!event.what.contains("s3cret"), "{event:?}");
+    }
     notify.stop().expect_code(0);
     bus.close().await.unwrap();
 }

@@ -434,6 +434,55 @@ async fn a_structure_of_natural_frequencies_is_readable_on_a_phone() {
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
+/// An alert says whom to call and who was notified.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    let shown = |alerts: Value| {
+        format!(
+            "import('/alerts.js').then(({{ makeHelp, updateHelp }}) => {{
+              const help = makeHelp();
+              document.body.append(help.element);
+              updateHelp(help, {alerts});
+              const told = [help.element.innerText.split('\n').filter(Boolean), help.element.querySelector('a:not([hidden])')?.href ?? null];
+              help.element.remove();
+              return told;
+            }})"
+        )
+    };
+    let notice = |receiver: &str, second: i64, failure: Value| json!({ "receiver": receiver, "time_ns": second * 1_000_000_000, "failure": failure });
+    let alert = |state: &str, notices: Value| json!({ "state": state, "contact": "Ada, +41 44 123 45 67", "runbook": "https://site.example/alarm", "notices": notices });
+    let notices = json!([
+        notice("ada@site.example", 1_792_000_000, Value::Null),
+        notice(
+            "hooks.example",
+            1_792_000_060,
+            json!("replied with 503; retrying")
+        ),
+    ]);
+    assert_eq!(
+        browser
+            .evaluate(&shown(json!([alert("raised", notices.clone())])))
+            .await,
+        json!([
+            [
+                "Contact: Ada, +41 44 123 45 67 Runbook",
+                "Notified: ada@site.example (2026-10-14 17:46:40 UTC)",
+                "▲ Not notified: hooks.example (2026-10-14 17:47:40 UTC: replied with 503; retrying)",
+            ],
+            "https://site.example/alarm"
+        ])
+    );
+    let nothing = browser
+        .evaluate(&shown(json!([alert("normal", notices)])))
+        .await;
+    assert_eq!(nothing, json!([[], null]));
+}
+
 /// The table of the last minute is sorted by mouse and keyboard, and says how it is sorted.
 #[tokio::test(flavor = "multi_thread")]
 async fn sensors_are_sorted_by_the_title_that_is_pressed() {

@@ -1,6 +1,6 @@
 // Alerts of all structures: current alerts, past changes and acknowledgements.
 
-import { grouped, h, keyed, setText } from "./dom.js";
+import { grouped, h, keyed, setAttribute, setText } from "./dom.js";
 import { t } from "./language.js";
 import { SERVICES, STATES, canBeSeen, levelOf, natural, place, setSentence, time, withMinus } from "./words.js";
 
@@ -82,7 +82,7 @@ export class AlertsPage {
 }
 
 /** States of an alert that need nobody. */
-const ROUTINE = ["normal", "learning", "undecided"];
+export const ROUTINE = ["normal", "learning", "undecided"];
 
 /** A list of alerts or changes. Routine ones are folded away, unless a filter asks for them. */
 class AlertList {
@@ -130,11 +130,38 @@ class AlertList {
   }
 
   #make() {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")) };
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")), help: makeHelp() };
     parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, t("acknowledge")) : null;
-    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, h("div", { class: "actions" }, parts.button, parts.link));
+    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, parts.help.element, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
   }
+}
+
+/** Creates the lines that say whom to call about an alert, and who was notified. */
+export function makeHelp() {
+  const parts = { contact: h("span"), runbook: h("a", { rel: "noreferrer" }, t("runbook")), sent: h("p"), failed: h("p", { "data-level": "warning" }) };
+  parts.call = h("p", { class: "call" }, parts.contact, " ", parts.runbook);
+  parts.element = h("div", { class: "help" }, parts.call, parts.sent, parts.failed);
+  return parts;
+}
+
+/** Shows whom to call about the alerts of a structure, and the last notice to each receiver. */
+export function updateHelp(parts, alerts) {
+  const needed = alerts.filter(({ state }) => !ROUTINE.includes(state));
+  const { contact, runbook } = needed[0] ?? {};
+  parts.call.hidden = !contact && !runbook;
+  setText(parts.contact, contact ? t("contact", contact) : "");
+  parts.runbook.hidden = !runbook;
+  setAttribute(parts.runbook, "href", runbook ?? null);
+  const notices = grouped(needed.flatMap(({ notices }) => notices ?? []).sort((a, b) => b.time_ns - a.time_ns), ({ receiver }) => receiver).map(([newest]) => newest);
+  const show = (element, some, word) => {
+    element.hidden = some.length === 0;
+    const words = some.map(({ receiver, time_ns, failure }) => `${receiver} (${time(time_ns / 1e9)}${failure ? `: ${failure}` : ""})`);
+    setSentence(element, t(word, words.join(", ")));
+  };
+  show(parts.sent, notices.filter(({ failure }) => failure === null), "notified");
+  show(parts.failed, notices.filter(({ failure }) => failure !== null), "not-notified");
+  parts.element.hidden = [parts.call, parts.sent, parts.failed].every(({ hidden }) => hidden);
 }
 
 function updateAlert(parts, alert) {
@@ -152,6 +179,7 @@ function updateAlert(parts, alert) {
   setText(parts.when, time(alert.time_ns / 1e9));
   setText(parts.seen, alert.acknowledged_by ? t("alert-seen-by", alert.acknowledged_by, alert.note ? `: ${alert.note}` : "") : "");
   parts.seen.hidden = !alert.acknowledged_by;
+  updateHelp(parts.help, [alert]);
   parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
   parts.link.parentElement.hidden = ROUTINE.includes(alert.state);
   if (parts.button) parts.button.hidden = !canBeSeen(alert);

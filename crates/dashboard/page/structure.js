@@ -1,6 +1,6 @@
 // One structure: why it needs attention, and tabs with its parts, sensors, events and settings.
 
-import { AcknowledgeDialog } from "./alerts.js";
+import { AcknowledgeDialog, makeHelp, updateHelp } from "./alerts.js";
 import { CompareTab } from "./compare.js";
 import { h, keyed, setText } from "./dom.js";
 import { EventsTab } from "./events.js";
@@ -174,9 +174,9 @@ export class StructurePage {
     const { sensors } = overview;
     const raised = (this.#standing?.alerts ?? []).filter(canBeSeen);
     const badge = (name) => h("span", { class: "badge", "data-level": name });
-    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }) };
+    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }), help: makeHelp() };
     const { parts } = this;
-    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.actions, parts.now, parts.also, parts.quakes, parts.facts);
+    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.actions, parts.help.element, parts.now, parts.also, parts.quakes, parts.facts);
     setText(parts.badge, `${level.sign} ${level.word}`);
     setSentence(parts.sentence, overview.sentence);
     showNow(parts.now, overview);
@@ -199,6 +199,7 @@ export class StructurePage {
       (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, t("acknowledge-part", alert.parameter)) }),
       () => {},
     );
+    updateHelp(parts.help, this.#standing?.alerts ?? []);
     this.tabs?.[0].attend(overview);
   }
 

@@ -10,6 +10,10 @@ pub(crate) struct About {
     pub(crate) description: String,
     /// Where the structure stands, in words; may be empty.
     pub(crate) place: String,
+    /// Whom to call about an alarm; may be empty.
+    pub(crate) contact: String,
+    /// Address of the instructions for an alarm.
+    pub(crate) runbook: Option<String>,
     pub(crate) coordinates: Option<Coordinates>,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
@@ -129,6 +133,8 @@ impl About {
             name: structure.name().to_owned(),
             description: structure.description().to_owned(),
             place: structure.location().to_owned(),
+            contact: structure.contact().to_owned(),
+            runbook: structure.runbook().map(str::to_owned),
             coordinates: structure.coordinates(),
             sampling_rate_hz: structure.sampling_rate_hz(),
             display_rate_hz: structure.display_rate_hz(),

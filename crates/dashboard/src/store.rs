@@ -347,6 +347,8 @@ impl Store {
                 | EventKind::ClockRight
                 | EventKind::Monitoring
                 | EventKind::Maintenance
+                | EventKind::NoticeSent
+                | EventKind::NoticeFailed
                 | EventKind::Gap
                 | EventKind::Overloaded
                 | EventKind::CaughtUp

@@ -5,9 +5,9 @@ use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, FitDisplay, JudgementDisplay, LossDisplay, ModeDisplay,
-    ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay,
-    ParameterMonitoring, Phase, Service, Status,
+    AlertMessage, AlertState, Event, EventKind, FitDisplay, JudgementDisplay, LossDisplay,
+    ModeDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -55,6 +55,22 @@ pub(crate) struct AlertView<'s> {
     pub(crate) now: Option<String>,
     /// Why the present data do not reveal damage of the parameter, if so.
     pub(crate) unwatched: Option<&'s ParameterMonitoring>,
+    /// Whom to call; may be empty.
+    pub(crate) contact: &'s str,
+    /// Address of the instructions.
+    pub(crate) runbook: Option<&'s str>,
+    /// The last notice of the alert to each receiver, newest first.
+    pub(crate) notices: Vec<NoticeView<'s>>,
+}
+
+/// The last attempt to notify a receiver of an alert.
+#[derive(Debug, PartialEq, Serialize)]
+pub(crate) struct NoticeView<'s> {
+    receiver: &'s str,
+    /// Time of the attempt, ns since the Unix epoch, UTC.
+    time_ns: i64,
+    /// Reason of a failure.
+    failure: Option<&'s str>,
 }
 
 /// The judgement of a quantity as the page shows it.
@@ -152,7 +168,37 @@ pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'
         note: store.note(message),
         now: present_loss(store, message),
         unwatched: store.state.unwatched(name),
+        contact: &store.about.contact,
+        runbook: store.about.runbook.as_deref(),
+        notices: notices(store, message),
     })
+}
+
+/// Returns the last notice of an alert to each receiver, newest first. An alert that was active
+/// earlier had its own notices.
+fn notices<'s>(store: &'s Store, alert: &AlertMessage) -> Vec<NoticeView<'s>> {
+    let since_ns = alert.since_ns.unwrap_or(alert.time_ns);
+    // The times of a simulation can be after those of its notices.
+    let is_simulated = store.state.is_replayed();
+    let is_own = |event: &&Event| {
+        let is_later = is_simulated || event.time_ns >= since_ns;
+        is_later && event.subject == alert.parameter.as_str()
+    };
+    let notice = |event: &'s Event| {
+        let (start, failure) = match event.kind {
+            EventKind::NoticeSent => (Event::NOTICE_SENT, None),
+            EventKind::NoticeFailed => (Event::NOTICE_FAILED, Some(event.why.as_str())),
+            _ => return None,
+        };
+        Some(NoticeView {
+            receiver: event.what.strip_prefix(start)?,
+            time_ns: event.time_ns,
+            failure,
+        })
+    };
+    let mut seen = BTreeSet::new();
+    let all = store.events.iter().filter(is_own).filter_map(notice);
+    all.filter(|notice| seen.insert(notice.receiver)).collect()
 }
 
 /// Returns the loss by the newest value, if that is newer than the sentence of the alert.
@@ -179,5 +225,65 @@ pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
         note: store.note(message),
         now: None,
         unwatched: None,
+        contact: "",
+        runbook: None,
+        notices: Vec::new(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{alert, demo, name};
+    use spandrel_listener::Input;
+
+    #[test]
+    fn an_alert_names_the_last_notice_to_each_receiver_since_its_start() {
+        let mut store = demo();
+        let raised = AlertMessage {
+            since_ns: Some(50),
+            ..alert("storey-2", 60, AlertState::Raised)
+        };
+        store.handle(Input::Alert(raised.clone()));
+        let mut notice = |time_ns, subject: &str, kind, what: &str, why: &str| {
+            store.handle(Input::Event(Event {
+                structure: name("demo"),
+                time_ns,
+                kind,
+                subject: subject.to_owned(),
+                what: what.to_owned(),
+                why: why.to_owned(),
+            }));
+        };
+        let (sent, failed) = (EventKind::NoticeSent, EventKind::NoticeFailed);
+        notice(40, "storey-2", sent, "notice sent to old.example", "raised");
+        notice(61, "storey-1", sent, "notice sent to ada.example", "raised");
+        notice(
+            62,
+            "storey-2",
+            failed,
+            "notice not sent to ada.example",
+            "timed out",
+        );
+        notice(
+            63,
+            "storey-2",
+            failed,
+            "notice not sent to bo.example",
+            "timed out",
+        );
+        notice(64, "storey-2", sent, "notice sent to ada.example", "raised");
+        let of = |receiver, time_ns, failure| NoticeView {
+            receiver,
+            time_ns,
+            failure,
+        };
+        assert_eq!(
+            notices(&store, &raised),
+            [
+                of("ada.example", 64, None),
+                of("bo.example", 63, Some("timed out"))
+            ]
+        );
+    }
 }

@@ -149,6 +149,8 @@ mod tests {
             structure: name("house"),
             title: String::new(),
             place: String::new(),
+            contact: String::new(),
+            runbook: String::new(),
             parameters: Vec::new(),
             channels: vec![
                 ("ground-node".to_owned(), vec!["ground".to_owned()]),

@@ -61,6 +61,13 @@ pub(crate) struct Circumstances {
     pub(crate) advice: String,
     /// Address of the page at the moment of the report; empty without a public address.
     pub(crate) link: String,
+    /// Whom to call; empty if the structure file does not say. The present file decides when a
+    /// notice is sent, so that checkpoints omit it.
+    #[serde(skip)]
+    pub(crate) contact: String,
+    /// Address of the instructions; empty if the structure file does not say. Checkpoints omit it.
+    #[serde(skip)]
+    pub(crate) runbook: String,
 }
 
 /// The subject of a notice: the structure, the part of an alert, and the concern.
@@ -282,6 +289,8 @@ pub(crate) struct Facts {
     pub(crate) structure: Name,
     pub(crate) title: String,
     pub(crate) place: String,
+    pub(crate) contact: String,
+    pub(crate) runbook: String,
     /// Names of the parameters.
     pub(crate) parameters: Vec<String>,
     /// Names of the channels of each node, by the name of the node.
@@ -364,6 +373,7 @@ impl Scene<'_> {
                 Report::Earthquake(event) => self.link_to_report(&event.subject),
                 _ => self.link(part, moment_ns),
             },
+            ..Circumstances::default()
         };
         Content::new(report, circumstances)
     }
@@ -481,6 +491,8 @@ mod tests {
                 structure: name("house"),
                 title: String::new(),
                 place: String::new(),
+                contact: String::new(),
+                runbook: String::new(),
                 parameters: Vec::new(),
                 channels: Vec::new(),
                 has_alert_service: true,
@@ -545,6 +557,8 @@ mod tests {
             structure: name("house"),
             title: "House by the lake".to_owned(),
             place: "Lake Road 4".to_owned(),
+            contact: String::new(),
+            runbook: String::new(),
             parameters: Vec::new(),
             channels: vec![("roof-node".to_owned(), vec!["roof".to_owned()])],
             has_alert_service: true,

@@ -16,7 +16,7 @@ pub(crate) const MAIL_SUBJECT: &str = include_str!("mail.subject.txt");
 pub(crate) const MAIL_TEXT: &str = include_str!("mail.txt");
 
 /// Variables that a webhook receives in addition to the message of the bus.
-const ADDED: [&str; 13] = [
+const ADDED: [&str; 15] = [
     "key",
     "kind",
     "time",
@@ -28,6 +28,8 @@ const ADDED: [&str; 13] = [
     "origin",
     "advice",
     "link",
+    "contact",
+    "runbook",
     "unanswered",
     "test",
 ];
@@ -86,6 +88,9 @@ pub(crate) fn for_alertmanager(content: &Content) -> Value {
             ("place", &circumstances.place),
             ("quality", &circumstances.quality),
             ("advice", &circumstances.advice),
+            ("contact", &circumstances.contact),
+            // The name that Alertmanager's users and dashboards expect.
+            ("runbook_url", &circumstances.runbook),
         ] {
             if !text.is_empty() {
                 annotations[name] = json!(text);
@@ -246,6 +251,9 @@ mod tests {
             raised[0]["generatorURL"],
             "https://site.example/#/structure/house"
         );
+        let annotations = &raised[0]["annotations"];
+        assert_eq!(annotations["contact"], "Ada, +41 44 123 45 67");
+        assert_eq!(annotations["runbook_url"], "https://site.example/alarm");
         let cleared = for_alertmanager(&of_alert(&alert(20, AlertState::Cleared)));
         assert_eq!(cleared[0]["labels"], raised[0]["labels"]);
         assert_eq!(cleared[0]["endsAt"], "1970-01-01T00:00:20Z");
@@ -275,7 +283,8 @@ mod tests {
         assert_eq!(subject, "house: alert of storey-2 raised");
         for part in [
             "storey-2 has lost 12.4 % of its stiffness.\n",
-            "What to look at first: Inspect storey-2.\nhttps://site.example/#/structure/house\n",
+            "What to look at first: Inspect storey-2.\nhttps://site.example/#/structure/house\n\
+             Whom to call: Ada, +41 44 123 45 67\nWhat to do: https://site.example/alarm\n\n",
             "Structure:   house, House by the lake\nPlace:       Lake Road 4\n",
             "Measured at: 1970-01-01T00:00:20Z",
             "0.8760 of nominal, standard deviation 0.0123",

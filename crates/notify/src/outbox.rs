@@ -89,6 +89,8 @@ impl Wish {
 pub(crate) struct Notice {
     pub(crate) receiver: usize,
     pub(crate) content: Content,
+    /// Whether the receiver has got this notice before, and requires repetitions.
+    pub(crate) is_repeated: bool,
 }
 
 /// The checkpoint state of the notices of one structure.
@@ -506,6 +508,7 @@ impl Outbox {
                 due.push(Notice {
                     receiver,
                     content: first.content.clone(),
+                    is_repeated: first.is_repeated,
                 });
             }
         }

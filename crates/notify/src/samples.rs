@@ -101,6 +101,8 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         origin: Origin::Measured,
         advice: "Nothing has happened: this is a test with made-up values.".to_owned(),
         link: String::new(),
+        contact: "TEST: nobody".to_owned(),
+        runbook: String::new(),
     };
     let content = |report| Content {
         is_test: true,

@@ -6,7 +6,7 @@ use crate::error::NotifyError;
 use crate::memory::{Memory, Recalled, Situation};
 use crate::muting::Change;
 use crate::origin::{Origins, Signs};
-use crate::outbox::{GIVE_UP_AFTER, Moment, Outbox, Wish};
+use crate::outbox::{GIVE_UP_AFTER, Moment, Notice, Outbox, Wish};
 use crate::send::{Receiver, receivers};
 use crate::settings::NotifySettings;
 use crate::sight::Sight;
@@ -67,6 +67,13 @@ pub struct NotifyService {
     outbox: Outbox,
     clock: Monotonic,
     wall: Clock,
+}
+
+/// An attempt to send a notice.
+struct Attempt {
+    notice: Notice,
+    /// The reason of a failure, without secrets.
+    result: Result<(), String>,
 }
 
 /// The reply of an alert service.
@@ -273,7 +280,8 @@ impl NotifyService {
             };
             let all = async {
                 while let Some(ended) = sending.join_next().await {
-                    self.ended(ended);
+                    // After a failure of the bus, the notices are still sent.
+                    let _ = self.ended(ended).await;
                 }
             };
             let is_late = tokio::time::timeout(END_WITHIN, all).await.is_err();
@@ -291,10 +299,7 @@ impl NotifyService {
         })
     }
 
-    async fn tell(
-        &mut self,
-        sending: &mut JoinSet<(usize, Result<(), String>)>,
-    ) -> Result<(), NotifyError> {
+    async fn tell(&mut self, sending: &mut JoinSet<Attempt>) -> Result<(), NotifyError> {
         let mut look = tokio::time::interval(LOOK_EVERY);
         let mut status = tokio::time::interval(STATUS_EVERY);
         loop {
@@ -305,39 +310,76 @@ impl NotifyService {
                     memories.for_each(Memory::look);
                     self.put_status().await?;
                 }
-                Some(ended) = sending.join_next() => self.ended(ended),
+                Some(ended) = sending.join_next() => self.ended(ended).await?,
             }
             self.take().await?;
             self.log_lost();
             // The checkpoint precedes the first attempt, so that a retry after a crash has the same
             // key.
             self.keep();
-            for notice in self.outbox.due(self.clock.now()) {
+            for mut notice in self.outbox.due(self.clock.now()) {
                 let Some(receiver) = self.receivers.get(notice.receiver).cloned() else {
                     continue;
                 };
+                if let Some(source) = self.source(notice.content.structure()) {
+                    let circumstances = &mut notice.content.circumstances;
+                    circumstances.contact.clone_from(&source.facts.contact);
+                    circumstances.runbook.clone_from(&source.facts.runbook);
+                }
                 sending.spawn(async move {
-                    let number = notice.receiver;
-                    let sent =
-                        tokio::task::spawn_blocking(move || receiver.send(&notice.content)).await;
-                    (number, sent.unwrap_or_else(|error| Err(error.to_string())))
+                    let content = notice.content.clone();
+                    let sent = tokio::task::spawn_blocking(move || receiver.send(&content)).await;
+                    let result = sent.unwrap_or_else(|error| Err(error.to_string()));
+                    Attempt { notice, result }
                 });
             }
         }
     }
 
-    /// Records the result of an attempt. Ignores an attempt whose task has panicked.
-    fn ended(&mut self, ended: Result<(usize, Result<(), String>), JoinError>) {
-        let Ok((receiver, result)) = ended else {
-            return;
+    /// Records and publishes the result of an attempt. Ignores an attempt whose task has panicked.
+    async fn ended(&mut self, ended: Result<Attempt, JoinError>) -> Result<(), NotifyError> {
+        let Ok(Attempt { notice, result }) = ended else {
+            return Ok(());
         };
-        let is_logged = self.outbox.done(receiver, result.is_ok(), self.clock.now());
-        let receiver = self.shown(receiver);
-        match &result {
-            Ok(()) => info!(receiver, "notice sent"),
-            Err(reason) if is_logged => warn!(receiver, reason, "notice not sent; retrying"),
-            Err(_) => {}
+        let number = notice.receiver;
+        let is_logged = self.outbox.done(number, result.is_ok(), self.clock.now());
+        let receiver = self.shown(number);
+        let (kind, what, why) = match &result {
+            Ok(()) => {
+                info!(receiver, "notice sent");
+                if notice.is_repeated {
+                    return Ok(());
+                }
+                let what = format!("{}{receiver}", Event::NOTICE_SENT);
+                (EventKind::NoticeSent, what, notice.content.end())
+            }
+            Err(reason) if is_logged => {
+                warn!(receiver, reason, "notice not sent; retrying");
+                let what = format!("{}{receiver}", Event::NOTICE_FAILED);
+                (EventKind::NoticeFailed, what, format!("{reason}; retrying"))
+            }
+            Err(_) => return Ok(()),
+        };
+        let structure = notice.content.structure();
+        let subject = notice.content.part().unwrap_or(structure).to_string();
+        let event = Event {
+            structure: structure.clone(),
+            time_ns: self.wall.now_ns(),
+            kind,
+            subject,
+            what,
+            why,
+        };
+        if let Some(source) = self.source(structure) {
+            source.events.put(&event.legible()).await?;
         }
+        Ok(())
+    }
+
+    /// Returns the source of a structure.
+    fn source(&self, structure: &Name) -> Option<&Source> {
+        let mut sources = self.sources.iter();
+        sources.find(|source| source.keys.structure() == structure)
     }
 
     /// Logs the notices that no receiver gets any more.
@@ -649,6 +691,8 @@ fn facts(monitored: &Monitored, settings: &NotifySettings) -> Facts {
         structure: monitored.keys.structure().clone(),
         title: structure.description().trim().to_owned(),
         place: structure.location().trim().to_owned(),
+        contact: structure.contact().trim().to_owned(),
+        runbook: structure.runbook().unwrap_or_default().to_owned(),
         parameters: parameters
             .map(|parameter| parameter.name().to_owned())
             .collect(),

@@ -8,9 +8,10 @@ use serde_json::{Map, json};
 use spandrel_bus::AlertMessage;
 
 /// All variables of a template.
-pub(crate) const VARIABLES: [&str; 34] = [
+pub(crate) const VARIABLES: [&str; 36] = [
     "acknowledged_by",
     "advice",
+    "contact",
     "credibility",
     "estimate",
     "estimate_std",
@@ -34,6 +35,7 @@ pub(crate) const VARIABLES: [&str; 34] = [
     "reference",
     "rule_credibility",
     "rule_loss",
+    "runbook",
     "sentence",
     "since",
     "state",
@@ -171,6 +173,8 @@ pub(crate) fn variables(content: &Content) -> Map<String, serde_json::Value> {
     set("origin", json!(circumstances.origin.as_str()));
     set("advice", json!(circumstances.advice));
     set("link", json!(circumstances.link));
+    set("contact", json!(circumstances.contact));
+    set("runbook", json!(circumstances.runbook));
     set("unanswered", json!(unanswered));
     set("test", json!(content.is_test));
     set("lines", json!([]));

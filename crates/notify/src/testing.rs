@@ -88,6 +88,8 @@ pub(crate) fn circumstances() -> Circumstances {
         origin: Origin::Measured,
         advice: "Inspect storey-2.".to_owned(),
         link: "https://site.example/#/structure/house".to_owned(),
+        contact: "Ada, +41 44 123 45 67".to_owned(),
+        runbook: "https://site.example/alarm".to_owned(),
     }
 }
 

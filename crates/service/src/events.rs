@@ -54,6 +54,7 @@ fn level(event: &Event) -> Level {
         | EventKind::SamplesBack
         | EventKind::ClockRight
         | EventKind::Maintenance
+        | EventKind::NoticeSent
         | EventKind::Annotation
         | EventKind::CaughtUp
         | EventKind::HistoryBack
@@ -73,6 +74,7 @@ fn level(event: &Event) -> Level {
         | EventKind::SamplesDropped
         | EventKind::ClockWrong
         | EventKind::ClockMoved
+        | EventKind::NoticeFailed
         | EventKind::ClockDoubtful
         | EventKind::Monitoring
         | EventKind::Gap

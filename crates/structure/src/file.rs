@@ -56,6 +56,8 @@ struct Head {
     name: Option<String>,
     description: String,
     place: String,
+    contact: String,
+    runbook: Option<String>,
     rate_hz: Option<f64>,
     display_rate_hz: f64,
     distributed: Option<Spanned<bool>>,
@@ -162,6 +164,8 @@ impl<'t> StructureFile<'t> {
             let name = section.required_name("name").map(Spanned::into_inner);
             section.text("description");
             section.text("place");
+            section.text("contact");
+            section.link("runbook");
             section.finish();
             name
         });
@@ -339,6 +343,8 @@ impl<'t> StructureFile<'t> {
             name: head.name?,
             description: head.description,
             place: head.place,
+            contact: head.contact,
+            runbook: head.runbook,
             coordinates,
             sampling_rate_hz: head.rate_hz?,
             display_rate_hz: head.display_rate_hz,
@@ -394,6 +400,8 @@ fn read_head(file: &mut Section<'_>) -> Head {
         name: None,
         description: String::new(),
         place: String::new(),
+        contact: String::new(),
+        runbook: None,
         rate_hz: None,
         display_rate_hz: DISPLAY_RATE_HZ,
         distributed: None,
@@ -410,6 +418,11 @@ fn read_head(file: &mut Section<'_>) -> Head {
         .text("place")
         .map(Spanned::into_inner)
         .unwrap_or_default();
+    head.contact = section
+        .text("contact")
+        .map(Spanned::into_inner)
+        .unwrap_or_default();
+    head.runbook = section.link("runbook").map(Spanned::into_inner);
     head.rate_hz = section
         .required_number("sampling-rate-hz", Allowed::RATE)
         .map(Spanned::into_inner);

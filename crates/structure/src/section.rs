@@ -432,6 +432,22 @@ impl<'t> Section<'t> {
         text.map(|text| Spanned::new(value.span(), text.to_owned()))
     }
 
+    /// Reads the address of a page on the web.
+    pub(crate) fn link(&mut self, key: &'static str) -> Option<Spanned<String>> {
+        let value = self.value(key)?;
+        let is_link = |text: &&str| {
+            let rest = ["https://", "http://"].map(|scheme| text.strip_prefix(scheme));
+            let rest = rest.into_iter().flatten().next().unwrap_or_default();
+            !rest.is_empty() && !rest.contains(|c: char| c.is_whitespace() || c.is_control())
+        };
+        let text = value.get_ref().as_str().filter(is_link);
+        if text.is_none() {
+            let allowed = "must be an address that begins with https:// or http://";
+            self.refuse(key, value, allowed);
+        }
+        text.map(|text| Spanned::new(value.span(), text.to_owned()))
+    }
+
     /// Reads a name that can be one chunk of a key expression.
     pub(crate) fn name(&mut self, key: &'static str) -> Option<Spanned<String>> {
         let value = self.value(key)?;

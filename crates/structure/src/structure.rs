@@ -52,6 +52,8 @@ pub struct Structure {
     pub(crate) name: String,
     pub(crate) description: String,
     pub(crate) place: String,
+    pub(crate) contact: String,
+    pub(crate) runbook: Option<String>,
     pub(crate) coordinates: Option<Coordinates>,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
@@ -134,6 +136,19 @@ impl Structure {
         &self.place
     }
 
+    /// Returns whom to call about an alarm, from the file. Empty if the file does not say.
+    #[must_use]
+    pub fn contact(&self) -> &str {
+        &self.contact
+    }
+
+    /// Returns the address of the instructions for an alarm, from the file. It begins with
+    /// `https://` or `http://`.
+    #[must_use]
+    pub fn runbook(&self) -> Option<&str> {
+        self.runbook.as_deref()
+    }
+
     /// Returns the coordinates from the file, if it states them.
     #[must_use]
     pub fn coordinates(&self) -> Option<Coordinates> {
@@ -173,8 +188,8 @@ impl Structure {
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
     /// It is the file without its comments, alert rules, conditions, earthquakes, followed modes,
-    /// simulation, record table, description, place and coordinates, followed by the matrices that
-    /// it names.
+    /// simulation, record table, description, place, contact, runbook and coordinates, followed by
+    /// the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
@@ -196,6 +211,8 @@ impl Structure {
         {
             structure.remove("description");
             structure.remove("place");
+            structure.remove("contact");
+            structure.remove("runbook");
         }
         let kind = table
             .get("model")

@@ -88,6 +88,10 @@ pub enum EventKind {
     ReaderDisconnected,
     /// The source of a node states a low quality of its clock. Its samples are used.
     ClockDoubtful,
+    /// A receiver has got a notice.
+    NoticeSent,
+    /// A receiver could not be notified.
+    NoticeFailed,
 }
 
 /// One event with its reason.
@@ -109,6 +113,11 @@ pub struct Event {
 }
 
 impl Event {
+    /// Start of the text of an event about a notice that was sent. The receiver follows it.
+    pub const NOTICE_SENT: &'static str = "notice sent to ";
+    /// Start of the text of an event about a notice that was not sent. The receiver follows it.
+    pub const NOTICE_FAILED: &'static str = "notice not sent to ";
+
     /// Makes a stored event valid if it was stored under less strict limits.
     #[must_use]
     pub fn legible(mut self) -> Self {

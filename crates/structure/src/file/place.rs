@@ -43,6 +43,31 @@ mod tests {
     }
 
     #[test]
+    fn contact_and_runbook_are_read_and_change_no_identification() {
+        let with =
+            |keys: &str| DEMO.replacen("[structure]\n", &format!("[structure]\n{keys}\n"), 1);
+        let keys = "contact = \"Ada, +41 44 123 45 67\"\nrunbook = \"https://site.example/alarm\"";
+        let structure = read(&with(keys)).unwrap();
+        assert_eq!(structure.contact(), "Ada, +41 44 123 45 67");
+        assert_eq!(structure.runbook(), Some("https://site.example/alarm"));
+        let demo = read(DEMO).unwrap();
+        assert_eq!((demo.contact(), demo.runbook()), ("", None));
+        assert_eq!(
+            structure.identification_basis(),
+            demo.identification_basis()
+        );
+        for wrong in ["javascript:alert(1)", "https://", "https://a b"] {
+            assert_eq!(
+                mistakes(&with(&format!("runbook = \"{wrong}\""))),
+                [format!(
+                    "structure.runbook: is \"{wrong}\", \
+                     must be an address that begins with https:// or http://"
+                )]
+            );
+        }
+    }
+
+    #[test]
     fn coordinates_outside_the_earth_are_rejected() {
         assert_eq!(
             mistakes(&with("latitude = 90.5\nlongitude = -181\nheight = 3")),
