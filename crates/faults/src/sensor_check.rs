@@ -653,7 +653,15 @@ impl Group {
     }
 
     fn compare(&self, memory: &Memory) -> Option<Comparison> {
-        compare(memory, &self.responses, &self.resonances, &self.expected)
+        let members = 0..self.channels.len();
+        let noise_powers: Vec<f64> = members.map(|member| self.noise_power(member)).collect();
+        compare(
+            memory,
+            &self.responses,
+            &self.resonances,
+            &self.expected,
+            &noise_powers,
+        )
     }
 
     /// Searches a window for faults that the common motion does not show.

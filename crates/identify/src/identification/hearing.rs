@@ -180,13 +180,13 @@ mod tests {
         );
         assert_eq!(found, [(9, Heard::Silent), (19, Heard::Again)]);
         let moving = |count: i32| (0..count).map(f64::from);
-        let interrupted = silence.into_iter().chain(moving(8)).chain([f64::NAN; 3]);
+        let interrupted = silence.into_iter().chain(moving(5)).chain([f64::NAN; 3]);
         let found = changes(
             &mut Hearing::new(false),
             interrupted.chain(moving(12)),
             true,
         );
-        assert_eq!(found, [(9, Heard::Silent), (30, Heard::Again)]);
+        assert_eq!(found, [(9, Heard::Silent), (27, Heard::Again)]);
     }
 
     #[test]
