@@ -153,6 +153,77 @@ fn live_sensors_are_checked_like_those_of_a_record() {
     services.stop().expect_code(0);
 }
 
+#[test]
+fn exchanged_channels_of_a_record_are_named_with_a_baseline_only() {
+    let text = std::fs::read_to_string(five_storeys()).unwrap();
+    let (sound, _) = text.split_once("[[simulation.damage]]").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let start = |command: &mut Command| Process::start(command).wait();
+    std::fs::write(path("house.toml"), sound).unwrap();
+    for seed in ["1", "2", "3", "4"] {
+        let mut simulate = spandrel("simulate");
+        simulate
+            .arg(path("house.toml"))
+            .args(["--duration", "120", "--seed", seed]);
+        start(
+            simulate
+                .arg("--record")
+                .arg(path(seed).with_extension("csv")),
+        )
+        .expect_code(0);
+    }
+    let mut baseline = spandrel("baseline");
+    baseline
+        .arg(path("house.toml"))
+        .arg("--output")
+        .arg(path("baseline.json"));
+    for record in ["1.csv", "2.csv", "3.csv"] {
+        baseline.arg("--record").arg(path(record));
+    }
+    start(&mut baseline).expect_code(0);
+    let record = std::fs::read_to_string(path("4.csv")).unwrap();
+    let (header, rows) = record.split_once('\n').unwrap();
+    let header = header.replace("floor-1", "x").replace("floor-5", "floor-1");
+    let exchanged = format!("{}\n{rows}", header.replace('x', "floor-5"));
+    std::fs::write(path("exchanged.csv"), exchanged).unwrap();
+    let checked = |record: &str, with: &[&str]| {
+        let mut check = spandrel("check");
+        check
+            .current_dir(folder.path())
+            .args(["house.toml", "--record", record])
+            .args(with);
+        start(&mut check)
+    };
+    let with = ["--baseline", "baseline.json"];
+    let page = checked("exchanged.csv", &[]).expect_code(0).stdout;
+    assert!(!page.contains("exchanged"), "{page}");
+    let page = checked("4.csv", &with).expect_code(0).stdout;
+    assert_eq!(page.matches(" sound ").count(), 6, "{page}");
+    let page = checked("exchanged.csv", &with).expect_code(0).stdout;
+    for floor in ["floor-1", "floor-5"] {
+        assert!(
+            page.contains(&format!("{floor} is exchanged with another one")),
+            "{page}"
+        );
+    }
+
+    let learnt = std::fs::read_to_string(path("baseline.json")).unwrap();
+    let mut learnt: serde_json::Value = serde_json::from_str(&learnt).unwrap();
+    learnt["sensors"].as_array_mut().unwrap().remove(0);
+    std::fs::write(path("baseline.json"), learnt.to_string()).unwrap();
+    let warning = checked("4.csv", &with).expect_code(0).stderr;
+    let expected = "has learnt nothing about the sensors ground";
+    assert!(warning.contains(expected), "{warning}");
+    learnt["structure"] = "tower".into();
+    std::fs::write(path("baseline.json"), learnt.to_string()).unwrap();
+    let message = checked("4.csv", &with).expect_code(2).stderr;
+    assert!(
+        message.contains("tower") && message.contains("baseline.json"),
+        "{message}"
+    );
+}
+
 /// Frames with fewer channels than the file states would be read beyond their end.
 #[test]
 fn a_live_check_with_another_file_names_the_difference() {

@@ -1043,13 +1043,18 @@ pub struct CheckArguments {
     #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub after: f64,
     /// Compare the sensors with each other in this recording instead of checking the design; may be repeated.
-    #[arg(long, value_name = "RECORD", conflicts_with = "after")]
+    #[arg(long, value_name = "RECORD", group = "data", conflicts_with = "after")]
     pub record: Vec<PathBuf>,
     /// Compare the sensors with each other in SECONDS of live data instead.
     ///
     /// `spandrel run` or `spandrel ingest` must run, and the sensors must deliver.
-    #[arg(long, value_name = "SECONDS", value_parser = seconds, conflicts_with_all = ["after", "record"])]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, group = "data", conflicts_with_all = ["after", "record"])]
     pub live: Option<f64>,
+    /// Baseline file with the behaviour of the sound sensors.
+    ///
+    /// With it, the comparison finds smaller faults, and exchanged channels.
+    #[arg(long, value_name = "BASELINE.json", requires = "data")]
+    pub baseline: Option<PathBuf>,
     /// Print one JSON object instead of text.
     #[arg(long)]
     pub json: bool,

@@ -47,12 +47,15 @@ struct Judgements {
 }
 
 impl SensorPage {
-    /// Compares the sensors in the recordings, one after the other.
+    /// Compares the sensors in the recordings, one after the other. `check` has no frames yet.
     ///
     /// # Errors
     /// A recording cannot be read.
-    pub fn of_records(structure: &Structure, records: &[PathBuf]) -> Result<Self, AppError> {
-        let mut check = SensorCheck::new(structure);
+    pub fn of_records(
+        structure: &Structure,
+        mut check: SensorCheck,
+        records: &[PathBuf],
+    ) -> Result<Self, AppError> {
         let mut last = Judgements::of(&check);
         for path in records {
             check.forget_motion();
@@ -305,7 +308,8 @@ mod tests {
             );
         }
         std::fs::write(&path, text).unwrap();
-        SensorPage::of_records(&structure, &[path]).unwrap()
+        let check = SensorCheck::new(&structure);
+        SensorPage::of_records(&structure, check, &[path]).unwrap()
     }
 
     #[test]

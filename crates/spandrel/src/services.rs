@@ -103,6 +103,25 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
     Ok(watched)
 }
 
+/// Checks that a baseline belongs to a structure.
+///
+/// # Errors
+/// The baseline belongs to another structure.
+pub fn check_baseline_structure(
+    structure: &Structure,
+    baseline: &Baseline,
+    path: &Path,
+) -> Result<(), AppError> {
+    if baseline.structure() == structure.name() {
+        return Ok(());
+    }
+    Err(AppError::OtherBaseline {
+        path: path.to_owned(),
+        found: baseline.structure().to_owned(),
+        expected: structure.name().to_owned(),
+    })
+}
+
 /// Warns of baseline entries without effect, and of parameters that still have to be learnt.
 ///
 /// # Errors
@@ -112,13 +131,7 @@ pub fn check_baseline(
     baseline: &Baseline,
     path: &Path,
 ) -> Result<(), AppError> {
-    if baseline.structure() != structure.name() {
-        return Err(AppError::OtherBaseline {
-            path: path.to_owned(),
-            found: baseline.structure().to_owned(),
-            expected: structure.name().to_owned(),
-        });
-    }
+    check_baseline_structure(structure, baseline, path)?;
     let (path, names) = (path.display(), || {
         structure
             .parameters()

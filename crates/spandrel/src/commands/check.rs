@@ -10,14 +10,15 @@ use crate::judge_report::JudgedPage;
 use crate::modal_check::ModalCheckPage;
 use crate::role_check::{self, Need, Work};
 use crate::sensor_report::SensorPage;
-use crate::services::block_on;
+use crate::services::{block_on, check_baseline_structure};
 use crate::settings::Settings;
+use spandrel_alert::Baseline;
 use spandrel_bus::{Block as _, Bus, Delivery, FrameBlock, Start, StreamSettings};
 use spandrel_faults::SensorCheck;
 use spandrel_structure::{JudgedStructure, Structure};
 use std::path::Path;
 use std::time::Duration;
-use tracing::info;
+use tracing::{info, warn};
 
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
@@ -38,9 +39,10 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     if arguments.live.is_some() || !arguments.record.is_empty() {
         let structure = Structure::read_with_model(&arguments.structure)?;
+        let sensors = sensor_check(&structure, arguments.baseline.as_deref())?;
         let page = match arguments.live {
-            Some(seconds) => live(&structure, seconds, &arguments)?,
-            None => SensorPage::of_records(&structure, &arguments.record)?,
+            Some(seconds) => live(&structure, sensors, seconds, &arguments)?,
+            None => SensorPage::of_records(&structure, sensors, &arguments.record)?,
         };
         return print(&match arguments.json {
             true => page.json(),
@@ -93,9 +95,33 @@ fn limit_memory(structure: &Structure, path: &Path) -> Result<(), AppError> {
     }
 }
 
+/// Returns the check of the sensors, which expects what the baseline file has learnt if there is one.
+fn sensor_check(structure: &Structure, baseline: Option<&Path>) -> Result<SensorCheck, AppError> {
+    let mut check = SensorCheck::new(structure);
+    let Some(path) = baseline else {
+        return Ok(check);
+    };
+    let baseline = Baseline::read(path)?;
+    check_baseline_structure(structure, &baseline, path)?;
+    let names: Vec<&str> = structure.channels().map(|channel| channel.name()).collect();
+    check.expect(&names, baseline.sensors());
+    let is_known = |name: &str| { baseline.sensors().iter() }.any(|known| known.channel == name);
+    let checked = names.iter().zip(check.health());
+    let unknown: Vec<&str> = checked
+        .filter(|(name, health)| health.is_some() && !is_known(name))
+        .map(|(name, _)| *name)
+        .collect();
+    if !unknown.is_empty() {
+        let (path, unknown) = (path.display(), unknown.join(", "));
+        warn!("{path}: has learnt nothing about the sensors {unknown}; the usual scatter applies");
+    }
+    Ok(check)
+}
+
 /// Compares the sensors in `seconds` of the frames that ingest publishes from now on.
 fn live(
     structure: &Structure,
+    mut check: SensorCheck,
     seconds: f64,
     arguments: &CheckArguments,
 ) -> Result<SensorPage, AppError> {
@@ -118,7 +144,6 @@ fn live(
             .await?;
         info!(structure = structure.name(), "waiting for frames");
         let bar = progress::bar("checking", Some(wanted));
-        let mut check = SensorCheck::new(structure);
         let mut taken = 0;
         while taken < wanted {
             let delivery = frames.deliveries().recv_async();
