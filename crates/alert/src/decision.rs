@@ -28,6 +28,7 @@ use spandrel_bus::{
     AlertState, EstimateFlags, Excluded, FitReason, FitVerdict, Phase, UndecidedBecause,
 };
 
+use self::left_out::LeftOut;
 use crate::{
     Alert, Learning, ParameterEstimate, Reference, Rule,
     alert::Acknowledged,
@@ -96,6 +97,9 @@ pub struct Decision {
     /// row, as a ratio to nominal. Empty if it is unknown. The structure file and the baseline set it.
     #[serde(skip)]
     changes_without: Vec<Option<f64>>,
+    /// Reference while a sensor is left out. It is learnt again after a restart.
+    #[serde(skip)]
+    left_out: LeftOut,
     /// Acceleration above which motion is strong, m/s². `None` if the structure file does not state
     /// it: strong motion is then judged like any other.
     #[serde(skip)]
@@ -157,7 +161,7 @@ const MEASURED_SHARE_OF_PRIOR: f64 = 0.5;
 const BLIND_FROM: f64 = 4.0;
 
 /// Standard deviation of the change of an estimate if a sensor is left out, as a share of the
-/// estimate. It applies if no baseline has measured the change.
+/// estimate. It applies until a baseline or a reference without the sensor is known.
 const USUAL_CHANGE_WITHOUT: f64 = 0.15;
 
 /// Whether a change of a parameter would be noticed at present, and if not, why. The least vigilant
@@ -206,6 +210,7 @@ impl Decision {
             last_alert: None,
             sustained_std: None,
             changes_without: Vec::new(),
+            left_out: LeftOut::default(),
             strong_m_per_s2: None,
             contradicting_modes: None,
         }
@@ -215,6 +220,7 @@ impl Decision {
     pub(crate) fn forget_unstored(&mut self) {
         self.sustained_std = None;
         self.changes_without.clear();
+        self.left_out = LeftOut::default();
         self.strong_m_per_s2 = None;
         self.contradicting_modes = None;
     }
@@ -270,19 +276,25 @@ impl Decision {
     /// Returns the loss at the last estimate. `None` before the first estimate and while the
     /// reference is being learnt.
     pub fn loss(&self) -> Option<ParameterLoss> {
-        let Stage::Watching { reference, .. } = &self.stage else {
-            return None;
-        };
+        let reference = self.reference()?;
         let (estimate, _) = self.last.as_ref()?;
         Some(ParameterLoss {
             parameter: self.subject.parameter,
             time_ns: estimate.time_ns,
-            loss: loss_estimate(estimate, reference),
-            probability: probability_of_loss(estimate, reference, self.rule.loss()),
+            loss: loss_estimate(estimate, &reference),
+            probability: probability_of_loss(estimate, &reference, self.rule.loss()),
             rule_loss: self.rule.loss(),
             rule_credibility: self.rule.credibility(),
-            reference: *reference,
+            reference,
         })
+    }
+
+    /// Returns the reference of the sensors in use. `None` while it is being learnt.
+    fn reference(&self) -> Option<Reference> {
+        match &self.stage {
+            Stage::Learning { .. } => None,
+            Stage::Watching { reference, .. } => self.left_out.reference().or(Some(*reference)),
+        }
     }
 
     /// Returns the watched parameter.
@@ -340,6 +352,7 @@ impl Decision {
         if self.lacks_reference() {
             self.decided.count(hindrance.or(self.undecided_because()));
         }
+        let without_sensor = self.left_out.reference();
         match &mut self.stage {
             // A reference is learnt from weak motion, as a loss is raised from it.
             Stage::Learning { .. } if decides && !is_unsettled => self.learn(estimate, alerts),
@@ -351,6 +364,7 @@ impl Decision {
                 self.revise_undecided(alerts);
             }
             Stage::Watching { reference, watch } => {
+                let reference = without_sensor.as_ref().unwrap_or(reference);
                 let undecided = hindrance.or(self.support.undecided_because());
                 self.decided.count(undecided);
                 if decides {
@@ -376,12 +390,15 @@ impl Decision {
     /// Returns the estimate with the uncertainty of a model that fewer sensors test.
     ///
     /// The error of a model moves the estimate as soon as a sensor is left out. The reference was
-    /// learnt with all sensors.
+    /// learnt with all sensors. If no baseline has measured the change, a reference without the
+    /// sensor is learnt, and nothing is added from then on: see [`left_out`].
     pub(crate) fn with_missing_sensor(
-        &self,
+        &mut self,
         estimate: ParameterEstimate,
         excluded: Excluded,
+        flags: &EstimateFlags,
     ) -> ParameterEstimate {
+        self.left_out.enter(excluded);
         let change = match excluded {
             Excluded::None => return estimate,
             Excluded::One(row) => self
@@ -391,11 +408,51 @@ impl Decision {
                 .flatten(),
             Excluded::Several => None,
         };
+        if change.is_none() {
+            self.learn_without_sensor(&estimate, flags);
+            if self.left_out.reference().is_some() {
+                return estimate;
+            }
+        }
         let change = change.unwrap_or(USUAL_CHANGE_WITHOUT * estimate.mean);
         ParameterEstimate {
             std: estimate.std.hypot(change),
             ..estimate
         }
+    }
+
+    /// Adds an estimate to the reference without a sensor, if the estimate could also raise an alert.
+    ///
+    /// A rule with a given reference states no span of estimates.
+    fn learn_without_sensor(&mut self, estimate: &ParameterEstimate, flags: &EstimateFlags) {
+        let ReferenceRule::Learnt { span_ns } = self.rule.reference() else {
+            return;
+        };
+        let is_usable = flags.phase == Phase::Working
+            && flags.fit != Some(FitVerdict::Contradicted)
+            && !flags.restarted
+            && !self.jump.holds(flags.fit, estimate.time_ns)
+            && !self.motion.is_unsettled()
+            && !is_on_bound(estimate, self.subject.bounds)
+            && self.is_measured(estimate);
+        let Stage::Watching {
+            reference,
+            watch: Watching::Normal,
+        } = &self.stage
+        else {
+            return self.left_out.interrupt();
+        };
+        if !is_usable {
+            return self.left_out.interrupt();
+        }
+        let (support, rule) = (&self.support, &self.rule);
+        // A larger change may be a loss, or the model says nothing without the sensor.
+        let allowed = 1.0 - rule.loss()..=1.0 + 2.0 * USUAL_CHANGE_WITHOUT;
+        self.left_out.learn(estimate, span_ns, |found| {
+            allowed.contains(&(found.mean() / reference.mean()))
+                && (support.shows_losses(estimate, found, rule)
+                    || support.excludes_losses(estimate, found, rule))
+        });
     }
 
     /// Sets the standard deviation that the present learning rate sustains, for the next estimate.
@@ -420,12 +477,12 @@ impl Decision {
     pub(crate) fn vigilance(&self) -> Option<Vigilance> {
         let (estimate, _) = self.last.as_ref()?;
         let because = self.undecided_because();
-        let Stage::Watching { reference, .. } = &self.stage else {
+        let Some(reference) = self.reference() else {
             return Some(because.map_or(Vigilance::LearnsReference, Vigilance::Undecided));
         };
         let shows = |std: f64| {
             let of_std = ParameterEstimate { std, ..*estimate };
-            self.support.shows_losses(&of_std, reference, &self.rule)
+            self.support.shows_losses(&of_std, &reference, &self.rule)
         };
         let learns = |factor: f64| self.sustained_std.is_none_or(|std| shows(std / factor));
         Some(match because {
@@ -455,10 +512,10 @@ impl Decision {
         if is_on_bound(estimate, self.subject.bounds) {
             return Some(UndecidedBecause::ParameterAtBound);
         }
-        let Stage::Watching { reference, .. } = &self.stage else {
+        let Some(reference) = self.reference() else {
             return None; // the visibility of a loss depends on the reference
         };
-        (!self.is_learnt(estimate, reference)).then_some(UndecidedBecause::NothingLearnt)
+        (!self.is_learnt(estimate, &reference)).then_some(UndecidedBecause::NothingLearnt)
     }
 
     /// Returns `true` if an estimate and a reference are certain enough for a decision.
@@ -774,6 +831,7 @@ impl Decision {
 }
 
 mod announcement;
+mod left_out;
 mod succession;
 pub(crate) mod version_2;
 pub(crate) mod version_4;

@@ -378,7 +378,8 @@ impl Watch {
             decision.set_sustained_std(
                 information.map(|information| f64::from(*information).sqrt().recip()),
             );
-            let of_parameter = decision.with_missing_sensor(of_parameter, estimate.excluded);
+            let of_parameter =
+                decision.with_missing_sensor(of_parameter, estimate.excluded, &flags);
             decision.handle(Input::Estimate(of_parameter, flags), alerts);
         }
     }

@@ -1,6 +1,6 @@
 //! The alerts of a decision, and revisions of raised alerts.
 
-use super::{Decision, Stage};
+use super::Decision;
 use crate::credibility::{loss_estimate, probability_of_loss};
 use crate::wording::{Before, describe};
 use crate::{Alert, ParameterEstimate};
@@ -22,7 +22,7 @@ impl Decision {
         let (Some(last), Some((estimate, flags))) = (&self.last_alert, &self.last) else {
             return;
         };
-        let Stage::Watching { reference, .. } = &self.stage else {
+        let Some(reference) = self.reference() else {
             return; // no alert is raised before the reference is known
         };
         let is_raised = matches!(last.state, AlertState::Raised | AlertState::Acknowledged);
@@ -31,7 +31,7 @@ impl Decision {
             return;
         }
         let has_jumped = last.follows_jump && !flags.follows_jump;
-        let now = loss_estimate(estimate, reference);
+        let now = loss_estimate(estimate, &reference);
         let has_moved = last.loss.is_none_or(|told| {
             !losses_agree((told.loss, told.interval()), (now.loss, now.interval()))
         });
@@ -68,10 +68,7 @@ impl Decision {
     /// Returns the alert for `state` at the last estimate.
     pub(super) fn alert(&self, state: AlertState) -> Option<Alert> {
         let (estimate, flags) = self.announced_estimate(state)?;
-        let reference = match &self.stage {
-            Stage::Learning { .. } => None,
-            Stage::Watching { reference, .. } => Some(*reference),
-        };
+        let reference = self.reference();
         let mut alert = Alert {
             rule: self.rule_number,
             parameter: self.subject.parameter,

@@ -43,6 +43,7 @@ impl From<Decision> for crate::Decision {
             last_alert: former.last_alert.map(Into::into),
             sustained_std: None,
             changes_without: Vec::new(),
+            left_out: super::left_out::LeftOut::default(),
             strong_m_per_s2: None,
             contradicting_modes: None,
         };

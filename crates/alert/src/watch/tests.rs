@@ -447,14 +447,15 @@ fn change_without_a_sensor_in_the_baseline_adds_to_the_deviation() {
     // The change without row 1 is known, and that without row 0 is 15 % of the estimate.
     let mut watch = watch();
     let decision = watch.decisions.remove(0);
-    let decision = decision.with_changes_without(vec![None, Some(0.04)]);
-    let std = |excluded| {
+    let mut decision = decision.with_changes_without(vec![None, Some(0.04)]);
+    let flags = EstimateFlags::working();
+    let mut std = |excluded| {
         let estimate = ParameterEstimate {
             time_ns: 0,
             mean: 0.8,
             std: 0.03,
         };
-        decision.with_missing_sensor(estimate, excluded).std
+        decision.with_missing_sensor(estimate, excluded, &flags).std
     };
     assert_eq!(std(Excluded::None), 0.03);
     assert!((std(Excluded::One(1)) - 0.05).abs() < 1e-12);
@@ -525,4 +526,60 @@ fn modes_that_contradict_the_model_leave_alerts_undecided_and_are_named() {
         "{alerts:?}"
     );
     assert!(!watch.was_contradicted_by_modes());
+}
+
+/// Returns the states that a decision announces. The reference is learnt for 3 s, and the parameter
+/// has each mean of `course` for a number of seconds without the given channels.
+fn states_without_sensor(course: &[(f64, u64, Excluded)]) -> Vec<AlertState> {
+    let rule = Rule::new(0.05, 0.95, 0.5, 0.05).unwrap();
+    let mut watch = watch();
+    watch.decisions.truncate(1);
+    let subject = watch.decisions[0].subject().clone();
+    watch.decisions[0] = Decision::new(0, rule.with_learnt_reference(3.0).unwrap(), subject);
+    let mut states = Vec::new();
+    let mut sequence = 0;
+    for (mean, seconds, excluded) in course {
+        let one = Estimate {
+            excluded: *excluded,
+            ..estimate([*mean, 1.0], 0.005, Phase::Working)
+        };
+        let frames = vec![one; 100 * *seconds as usize];
+        let alerts = alerts_of(&mut watch, &block(1, sequence, frames));
+        sequence += 100 * seconds;
+        let changes = alerts.iter().filter(|alert| alert.revision == 0);
+        states.extend(changes.map(|alert| alert.state));
+    }
+    states
+}
+
+/// Regression test: without a baseline, 15 % were added to the deviation for as long as a sensor was
+/// left out, so that a rule of 5 % never decided again.
+#[test]
+fn loss_without_a_sensor_is_raised_once_the_change_without_it_is_measured() {
+    use AlertState::{Cleared, Learning, Normal, Pending, Raised, Undecided};
+    let one = Excluded::One(0);
+    let mut course = vec![(1.0, 5, Excluded::None), (0.97, 10, one)];
+    let sound = [Learning, Normal, Undecided, Normal];
+    assert_eq!(states_without_sensor(&course), sound);
+    course.push((0.97 * 0.85, 5, one));
+    let lost = [&sound[..], &[Pending, Raised]].concat();
+    assert_eq!(states_without_sensor(&course), lost);
+    // The change of the estimate is no loss once the sensor is used again.
+    course.push((1.0, 5, Excluded::None));
+    let used_again = [&lost[..], &[Cleared]].concat();
+    assert_eq!(states_without_sensor(&course), used_again);
+    // Without another sensor, the change is unknown again.
+    let other = [course[0], course[1], (0.85, 2, Excluded::One(1))];
+    let unknown = [&sound[..], &[Undecided]].concat();
+    assert_eq!(states_without_sensor(&other), unknown);
+}
+
+#[test]
+fn change_without_a_sensor_that_may_be_a_loss_stays_undecided() {
+    use AlertState::{Learning, Normal, Undecided};
+    for mean in [0.94, 0.85, 1.35] {
+        let course = [(1.0, 5, Excluded::None), (mean, 60, Excluded::One(0))];
+        let states = states_without_sensor(&course);
+        assert_eq!(states, [Learning, Normal, Undecided], "{mean}");
+    }
 }
