@@ -154,13 +154,13 @@ export function updateHelp(parts, alerts) {
   parts.runbook.hidden = !runbook;
   setAttribute(parts.runbook, "href", runbook ?? null);
   const notices = grouped(needed.flatMap(({ notices }) => notices ?? []).sort((a, b) => b.time_ns - a.time_ns), ({ receiver }) => receiver).map(([newest]) => newest);
-  const show = (element, some, word) => {
+  const show = (element, some, sentence) => {
     element.hidden = some.length === 0;
     const words = some.map(({ receiver, time_ns, failure }) => `${receiver} (${time(time_ns / 1e9)}${failure ? `: ${failure}` : ""})`);
-    setSentence(element, t(word, words.join(", ")));
+    setSentence(element, sentence(words.join(", ")));
   };
-  show(parts.sent, notices.filter(({ failure }) => failure === null), "notified");
-  show(parts.failed, notices.filter(({ failure }) => failure !== null), "not-notified");
+  show(parts.sent, notices.filter(({ failure }) => failure === null), (receivers) => t("notified", receivers));
+  show(parts.failed, notices.filter(({ failure }) => failure !== null), (receivers) => t("not-notified", receivers));
   parts.element.hidden = [parts.call, parts.sent, parts.failed].every(({ hidden }) => hidden);
 }
 
