@@ -448,7 +448,7 @@ async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
               const help = makeHelp();
               document.body.append(help.element);
               updateHelp(help, {alerts});
-              const told = [help.element.innerText.split('\n').filter(Boolean), help.element.querySelector('a:not([hidden])')?.href ?? null];
+              const told = [help.element.hidden ? [] : help.element.innerText.split('\\n').filter(Boolean), help.element.querySelector('a:not([hidden])')?.href ?? null];
               help.element.remove();
               return told;
             }})"

@@ -207,7 +207,7 @@ async fn events_are_limited_to_a_kind_that_the_address_keeps() {
     let urgent = json!(["▲ alert raised", "◆ alert pending"]);
     assert_eq!(browser.evaluate(titles).await, urgent);
     // The text of an event has the whole width of a phone.
-    let narrow = "[...document.querySelectorAll('.events tbody tr')].filter((row) => row.children[2].clientWidth < row.clientWidth - 2).length";
+    let narrow = "[...document.querySelectorAll('.events tbody tr')].filter((row) => row.children[2].clientWidth < row.clientWidth - 2 * parseFloat(getComputedStyle(row).paddingLeft) - 2).length";
     assert_eq!(browser.evaluate(narrow).await, 0);
     browser.reload().await;
     let kept = "document.querySelectorAll('.events tbody tr').length === 2";

@@ -128,8 +128,8 @@ async fn parts_and_sensors_with_trouble_are_first_and_empty_columns_are_hidden()
         return [
           now.rows.firstElementChild.firstElementChild.textContent,
           sensors.rows.firstElementChild.firstElementChild.textContent,
-          sensors.heads.filter(({ hidden }) => hidden).length > 0,
-          sensors.heads.filter(({ hidden }) => hidden).every((head) => head !== sensors.heads[0]),
+          sensors.sorting.heads.filter(({ hidden }) => hidden).length > 0,
+          sensors.sorting.heads.filter(({ hidden }) => hidden).every((head) => head !== sensors.sorting.heads[0]),
           now.element.querySelector('thead').textContent.includes('P(loss > 5 %)'),
           noise.unit, mean[0], low[0],
         ];

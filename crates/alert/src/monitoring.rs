@@ -195,6 +195,12 @@ impl Monitoring {
         last.is_some_and(|last| last.phase == Phase::SensorInDoubt)
     }
 
+    /// Returns `true` if no sensor of the response has delivered a sample for some time.
+    fn is_response_silent(&self) -> bool {
+        let last = self.last.as_ref();
+        last.is_some_and(|last| last.phase == Phase::ResponseSilent)
+    }
+
     /// Forgets which sensors are in doubt.
     pub(crate) fn clear_suspects(&mut self) {
         self.suspects.clear();
@@ -205,6 +211,9 @@ impl Monitoring {
         match because {
             UndecidedBecause::SensorInDoubt if !self.suspects.is_empty() => {
                 format!("{}: {}", because.words(), listed(self.suspects.iter()))
+            }
+            UndecidedBecause::NothingLearnt if self.is_response_silent() => {
+                RESPONSE_IS_SILENT.to_owned()
             }
             _ => because.words().to_owned(),
         }
@@ -278,7 +287,7 @@ impl Monitoring {
     ) -> (MonitoringDisplay, Option<Change>) {
         let parameters = self.parameter_states(watch);
         let mut channels = self.channel_states();
-        let has_response = !self.is_without_response(&channels);
+        let has_response = !self.is_without_response(&channels) && !self.is_response_silent();
         if self.knows_channels {
             channels.extend(self.excitation_states());
         }

@@ -45,7 +45,7 @@ const INDEPENDENT: f64 = 0.2;
 /// Share of the variance of the incoherent part that moves the factor and the delay from one record
 /// to the next.
 ///
-/// Most of the incoherent part is the same in all records, except for the noise of the sensors. In 18 records of Painter Street, the
+/// Most of the incoherent part is the same in all records. In 18 records of Painter Street, the
 /// factors scatter by less than half of what an independent incoherent part would cause.
 pub(crate) const INCOHERENT_SHARE: f64 = 0.25;
 
@@ -111,8 +111,6 @@ pub(crate) struct Relation {
     delay_variance: f64,
     /// Variance of the logarithm of the factor by the error of the model.
     model_variance: f64,
-    /// Share of the incoherent part that the stated noise explains (0 to 1).
-    of_noise: f64,
 }
 
 /// The result of one comparison.
@@ -181,14 +179,11 @@ impl Comparison {
 }
 
 /// Compares the channels of a memory. `None` if the channels have no common motion.
-///
-/// `noise_powers` is the stated noise of each channel (power per bin and window).
 pub(crate) fn compare(
     memory: &Memory,
     responses: &Responses,
     resonances: &Resonances,
     expected: &[Expected],
-    noise_powers: &[f64],
 ) -> Option<Comparison> {
     let present = memory.present();
     let everything: Vec<Spectra> = responses
@@ -202,11 +197,6 @@ pub(crate) fn compare(
         expected,
         of_resonances: resonances.ln_likelihoods(memory.wide(), memory.effective_windows()),
         effective_windows: memory.effective_windows(),
-        noise_shares: noise_powers
-            .iter()
-            .enumerate()
-            .map(|(channel, noise)| noise / memory.mean_power(channel).max(f64::MIN_POSITIVE))
-            .collect(),
     };
     let mut used: Vec<bool> = present.to_vec();
     let mut probabilities = vec![0.0; used.len()];
@@ -321,8 +311,6 @@ struct Judge<'a> {
     /// What the resonances of each channel show of the frequency scale.
     of_resonances: Vec<Option<OfScales>>,
     effective_windows: f64,
-    /// Stated noise of each channel as a share of its power.
-    noise_shares: Vec<f64>,
 }
 
 impl Judge<'_> {
@@ -376,23 +364,15 @@ impl Judge<'_> {
         let squares = elastic.iter().zip(used).filter(|(_, used)| **used);
         let of_others: f64 = squares.map(|(one, _)| one * one).sum();
         let of_model = elastic[channel].powi(2) + of_others / sums.count.max(1.0);
-        let relation = Relation::new(
-            &others_power,
-            &crossed,
-            power,
-            self.responses,
-            self.effective_windows,
-        );
-        let of_used = self.noise_shares.iter().zip(used).enumerate();
-        let of_others: f64 = of_used
-            .filter(|(other, (_, used))| **used && *other != channel)
-            .map(|(_, (share, _))| share)
-            .sum();
-        let noise = self.noise_shares[channel] + of_others / (others * others);
         Relation {
             model_variance: MODEL_STD * MODEL_STD * of_model,
-            of_noise: relation.of_noise(noise),
-            ..relation
+            ..Relation::new(
+                &others_power,
+                &crossed,
+                power,
+                self.responses,
+                self.effective_windows,
+            )
         }
     }
 }
@@ -447,15 +427,7 @@ impl Relation {
             variance,
             delay_variance: variance / (angular * angular).max(f64::MIN_POSITIVE),
             model_variance: 0.0,
-            of_noise: 0.0,
         }
-    }
-
-    /// Returns the share of the incoherent part that is explained by `noise`, as a share of the power.
-    fn of_noise(&self, noise: f64) -> f64 {
-        let incoherent = (1.0 - self.coherence) / self.coherence;
-        let explained = noise / (1.0 - noise).max(f64::MIN_POSITIVE);
-        (explained / incoherent).min(1.0)
     }
 
     /// Returns `true` if most of what the channel measures is not the motion of the others.
@@ -470,13 +442,9 @@ impl Relation {
     /// Returns the variances of the logarithm of the factor and of the delay (s²) of a sound
     /// channel.
     fn variances(&self, expected: &Expected) -> (f64, f64) {
-        // Noise differs between comparisons, so that its whole variance counts.
-        let of_incoherent = |share: f64| share + (1.0 - share) * self.of_noise;
         (
-            expected.ln_gain.1.powi(2)
-                + of_incoherent(INCOHERENT_SHARE) * self.variance
-                + self.model_variance,
-            expected.delay_s.1.powi(2) + of_incoherent(expected.delay_share) * self.delay_variance,
+            expected.ln_gain.1.powi(2) + INCOHERENT_SHARE * self.variance + self.model_variance,
+            expected.delay_s.1.powi(2) + expected.delay_share * self.delay_variance,
         )
     }
 

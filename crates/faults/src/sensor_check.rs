@@ -653,15 +653,7 @@ impl Group {
     }
 
     fn compare(&self, memory: &Memory) -> Option<Comparison> {
-        let members = 0..self.channels.len();
-        let noise_powers: Vec<f64> = members.map(|member| self.noise_power(member)).collect();
-        compare(
-            memory,
-            &self.responses,
-            &self.resonances,
-            &self.expected,
-            &noise_powers,
-        )
+        compare(memory, &self.responses, &self.resonances, &self.expected)
     }
 
     /// Searches a window for faults that the common motion does not show.

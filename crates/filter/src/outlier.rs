@@ -515,6 +515,9 @@ impl OutlierState {
             .filter(|channel| suspicious(channel))
             .count();
         let motion_changed = self.channels.len() > 2 && 2 * count > self.channels.len();
+        // After a reset of the motion, everything agrees with a prediction that knows nothing.
+        let mut sound = self.channels.iter().filter(|channel| !channel.faulty);
+        let is_settled = sound.all(|channel| channel.trained);
         for (channel, variance) in self.channels.iter_mut().zip(variances) {
             if !suspicious(channel) || !channel.recent.is_due(settings.fault_window) {
                 continue;
@@ -525,7 +528,7 @@ impl OutlierState {
                 .percentile(ONE_SIGMA, usize::MAX, sorted)
                 .max(LEAST_SCALE * deviation);
             if channel.faulty {
-                if scale <= RECOVERY_FACTOR * deviation || motion_changed {
+                if is_settled && (scale <= RECOVERY_FACTOR * deviation || motion_changed) {
                     channel.faulty = false;
                     channel.rescale(scale);
                     channel.change = Some(OutlierChange::FaultEnded);
