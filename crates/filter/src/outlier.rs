@@ -515,9 +515,14 @@ impl OutlierState {
             .filter(|channel| suspicious(channel))
             .count();
         let motion_changed = self.channels.len() > 2 && 2 * count > self.channels.len();
-        // After a reset of the motion, everything agrees with a prediction that knows nothing.
-        let mut sound = self.channels.iter().filter(|channel| !channel.faulty);
-        let is_settled = sound.all(|channel| channel.trained);
+        // After a reset of the motion, everything agrees with a prediction that knows nothing. A silent
+        // channel does not train.
+        let sound = || self.channels.iter().filter(|channel| !channel.faulty);
+        let mut delivering = sound()
+            .filter(|channel| channel.recent.taken() > 0)
+            .peekable();
+        let has_witness = delivering.peek().is_some() || sound().next().is_none();
+        let is_settled = has_witness && delivering.all(|channel| channel.trained);
         for (channel, variance) in self.channels.iter_mut().zip(variances) {
             if !suspicious(channel) || !channel.recent.is_due(settings.fault_window) {
                 continue;

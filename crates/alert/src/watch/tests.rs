@@ -73,6 +73,19 @@ fn alerts_of(watch: &mut Watch, block: &EstimateBlock) -> Vec<Alert> {
 }
 
 #[test]
+fn the_least_vigilant_rule_of_a_parameter_counts() {
+    let mut watch = watch();
+    watch.decisions.swap(1, 2);
+    let estimates = vec![estimate([1.0, 1.0], 0.08, Phase::Working); 300];
+    alerts_of(&mut watch, &block(1, 0, estimates));
+    assert_eq!(watch.decisions[1].vigilance(), Some(Vigilance::Watching));
+    assert_eq!(
+        watch.vigilance(1),
+        Some(Vigilance::Undecided(UndecidedBecause::NothingLearnt))
+    );
+}
+
+#[test]
 fn displayed_losses_equal_those_of_the_decisions() {
     // A reference of 0.9 as from a baseline: 0.82 has lost 8.9 % of it, but 18 % of the design.
     let rule = Rule::new(0.10, 0.95, 0.5, 0.05).unwrap();

@@ -442,8 +442,19 @@ fn faulty_channel_stays_faulty_after_a_reset_of_the_motion() {
         );
         assert!(residuals[2].is_nan(), "used at step {step}");
     }
-    let faulty = state.channels().iter().map(ChannelScreen::faulty);
-    assert_eq!(faulty.collect::<Vec<_>>(), [false, false, true]);
+    let faulty = |state: &OutlierState| -> Vec<bool> {
+        let channels = state.channels().iter();
+        channels.map(ChannelScreen::faulty).collect()
+    };
+    assert_eq!(faulty(&state), [false, false, true]);
+    // It is repaired, and another channel is silent after the next reset.
+    state.retrain();
+    for _ in 0..6000 {
+        let [first, last] = [(); 2].map(|()| random.sample::<f64, _>(StandardNormal));
+        let mut residuals = [first, f64::NAN, last];
+        state.screen(&settings, &mut residuals, &[1.0; 3], false, &mut sorted);
+    }
+    assert_eq!(faulty(&state), [false, false, false]);
 }
 
 #[test]

@@ -114,6 +114,9 @@ impl Identification {
                 samples[*channel] = Sample::unpredicted(f64::NAN);
                 continue;
             }
+            if screen.faulty() {
+                continue; // it cannot show whether the other channels deviate
+            }
             samples[*channel].residual = screen.residual();
             // Spikes are rare. A channel with more rejected samples has another cause.
             samples[*channel].is_rejected =
