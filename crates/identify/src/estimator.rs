@@ -325,6 +325,27 @@ impl Estimator {
         }
     }
 
+    /// Returns what the last step predicted for each channel before it used the datum (SI units), also
+    /// for missing channels. Empty if the estimator is not a single filter.
+    #[must_use]
+    pub fn predicted(&self) -> &[f64] {
+        match self {
+            Self::Filter(filter) => filter.predicted().as_slice(),
+            Self::Classes(_) | Self::Particles(_) => &[],
+        }
+    }
+
+    /// Returns a copy of a single filter that continues from `state`. `None` for other estimators, and
+    /// for a state that does not belong to the filter.
+    pub(crate) fn resumed(&self, state: &EstimatorState) -> Option<Self> {
+        let (Self::Filter(filter), EstimatorState::Filter(state)) = (self, state) else {
+            return None;
+        };
+        let mut filter = filter.clone();
+        filter.restore(state.clone()).ok()?;
+        Some(Self::Filter(filter))
+    }
+
     /// Returns the model classes, if there are several.
     #[must_use]
     pub fn classes(&self) -> Option<&ClassBank<StructureClasses>> {

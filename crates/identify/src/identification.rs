@@ -11,6 +11,7 @@ mod reliability;
 mod sensors;
 mod spikes;
 mod state;
+mod sudden;
 
 use crate::display::noise_display;
 use crate::error::IdentifyError;
@@ -34,6 +35,7 @@ use spandrel_faults::SensorCheck;
 use spandrel_filter::{BandLimit, FilterError, Frame, NoisePhase, Step};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 use spikes::Spikes;
+use sudden::SuddenFaults;
 
 /// Maximum length of a gap (s) that is bridged by predictions. A longer gap resets the motion, but
 /// keeps the parameters.
@@ -174,6 +176,7 @@ pub struct Identification {
     hearing: Vec<Hearing>,
     reliability: Reliability,
     recent: Recent,
+    sudden: SuddenFaults,
     recovery: Recovery,
     /// Half-life of the filter in frames.
     half_life: f64,
@@ -306,6 +309,16 @@ impl Identification {
             structure.excitation_channels().len(),
             check.window_s() * structure.sampling_rate_hz(),
         );
+        let noise = structure
+            .channels()
+            .map(|channel| channel.noise_std().powi(2));
+        let noise: Vec<f64> = noise.collect();
+        let of_rows = structure.observation_channels().iter();
+        let sudden = SuddenFaults::new(
+            of_rows.map(|channel| noise[*channel]).collect(),
+            structure.fundamental_period_s(),
+            structure.sampling_rate_hz(),
+        );
         let screening = match estimator.outliers() {
             Some(_) => {
                 let channels = structure.observation_channels().iter();
@@ -352,6 +365,7 @@ impl Identification {
                 .collect(),
             reliability: Reliability::new(structure),
             recent,
+            sudden,
             recovery: Recovery::default(),
             half_life: structure.half_life_s() * structure.sampling_rate_hz(),
             last_values: vec![f64::NAN; channels],
@@ -613,6 +627,7 @@ impl Identification {
         let without_faulty = self.check_sensors(time_ns, values, outputs);
         let recovers = self.recover(time_ns, outputs);
         let restarted = restarted || without_faulty || recovers;
+        self.find_sudden_faults(time_ns, restarted, outputs);
         let estimate = self.estimate(result.ok(), restarted);
         estimates.push(estimate);
         if let Some(stream) = &mut self.stream {
@@ -727,6 +742,7 @@ impl Identification {
         self.check.forget_motion();
         self.spikes.forget();
         self.recent.forget();
+        self.sudden.forget();
     }
 
     /// Keeps the inputs of the filter. They are of no use if the excitation is unknown.

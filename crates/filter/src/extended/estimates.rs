@@ -93,6 +93,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.work.update.innovation
     }
 
+    /// Returns what the last step predicted for each channel before it used the datum (N_0), also for
+    /// missing channels.
+    pub fn predicted(&self) -> &DVector<f64> {
+        &self.work.predicted
+    }
+
     /// Returns `S` of the last step (N_0 × N_0). The rows of missing channels are those of the
     /// identity.
     pub fn innovation_covariance(&self) -> &DMatrix<f64> {

@@ -24,9 +24,12 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     pub(super) fn predict_observation(&mut self, frame: Frame<'_>) -> usize {
         let Self { model, work, .. } = self;
         model.linearise_observation(work.mean.as_slice(), work.newer.as_slice());
-        model.observe(work.update.innovation.as_mut_slice());
-        for (innovation, datum) in work.update.innovation.iter_mut().zip(frame.observations) {
-            *innovation = datum - *innovation; // NaN for a missing channel
+        model.observe(work.predicted.as_mut_slice());
+        let innovations = work.update.innovation.iter_mut();
+        let predictions = work.predicted.iter();
+        for ((innovation, datum), predicted) in innovations.zip(frame.observations).zip(predictions)
+        {
+            *innovation = datum - predicted; // NaN for a missing channel
         }
         let is_time_invariant = work.propagator.time_invariant().is_some();
         let is_known = is_time_invariant && work.by_h_t.is_packed(); // H never changes

@@ -67,6 +67,8 @@ pub(super) struct Workspace {
     pub(super) newer_less_older: DVector<f64>,
     /// `B_y ḟ` (n)
     pub(super) ramp: DVector<f64>,
+    /// Predicted datum (N_0).
+    pub(super) predicted: DVector<f64>,
     /// Diagonal of `S` with the noise levels from before this step (N_0).
     pub(super) variances: DVector<f64>,
     /// Diagonal of `S − R` (N_0).
@@ -127,6 +129,7 @@ impl Workspace {
             above_the_line: DVector::zeros(inputs),
             newer_less_older: DVector::zeros(inputs),
             ramp: DVector::zeros(n),
+            predicted: DVector::zeros(channels),
             variances: DVector::zeros(channels),
             predicted_variances: DVector::zeros(channels),
             misfit: misfit::Workspace::new(model.parameter_len()),

@@ -70,17 +70,31 @@ impl Recent {
         self.values.clear();
     }
 
-    /// Calls `take` with each frame, the oldest first, until it fails.
+    /// Returns the number of frames.
+    pub(super) fn len(&self) -> usize {
+        self.values.len() / self.width()
+    }
+
+    /// Returns `true` if no frames are kept, because the sensors are not compared.
+    pub(super) fn is_off(&self) -> bool {
+        self.most == 0
+    }
+
+    /// Calls `take` with each of the latest `count` frames, or all of them if they are fewer, the oldest
+    /// first, until it fails.
     ///
     /// # Errors
     /// Returns the error of `take`.
     pub(super) fn repeat<E>(
         &self,
+        count: usize,
         mut take: impl FnMut(Inputs<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut frame = Vec::with_capacity(self.width());
-        let mut values = self.values.iter().map(|value| f64::from(*value));
-        for _ in 0..self.values.len() / self.width() {
+        let first = self.len().saturating_sub(count);
+        let values = self.values.range(first * self.width()..);
+        let mut values = values.map(|value| f64::from(*value));
+        for _ in first..self.len() {
             frame.clear();
             frame.extend(values.by_ref().take(self.width()));
             let (observations, rest) = frame.split_at(self.observations);
@@ -129,7 +143,7 @@ mod tests {
 
     fn numbers(recent: &Recent) -> Vec<f64> {
         let mut numbers = Vec::new();
-        let repeated: Result<(), ()> = recent.repeat(|frame| {
+        let repeated: Result<(), ()> = recent.repeat(usize::MAX, |frame| {
             let value = frame.observations[0];
             assert!(frame.observations[1].is_nan());
             assert_eq!(

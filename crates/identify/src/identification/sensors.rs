@@ -38,7 +38,13 @@ impl Identification {
         // Samples that the screening has rejected are not part of the estimates.
         let restarts = { changes.iter() }.any(|one| excluded(one) && self.uses(one.channel));
         for change in changes {
-            outputs.extend(self.tell_sensor(time_ns, change));
+            let is_told = self.has_sudden_fault(change.channel);
+            if change.now == Soundness::Faulty {
+                self.leave_to_check(change.channel);
+            }
+            if !is_told {
+                outputs.extend(self.tell_sensor(time_ns, change));
+            }
         }
         if restarts {
             let restarted = self.restart_without_faulty();
@@ -56,7 +62,7 @@ impl Identification {
     pub(super) fn restart_without_faulty(&mut self) -> Result<(), FilterError> {
         self.restart_held()?;
         let recent = self.recent.clone();
-        let repeated = recent.repeat(|inputs| {
+        let repeated = recent.repeat(usize::MAX, |inputs| {
             self.observations.copy_from_slice(inputs.observations);
             self.mask_faulty();
             self.estimator.set_teaching(inputs.teaches);
@@ -88,15 +94,12 @@ impl Identification {
         Ok(ends)
     }
 
-    /// Returns `false` if the screening already rejects all samples of the channel as those of a
-    /// faulty sensor.
+    /// Returns `false` if the samples of the channel are already left out because of a sudden fault, or
+    /// if the screening rejects all of them.
     fn uses(&self, channel: usize) -> bool {
-        let row = self
-            .observation_channels
-            .iter()
-            .position(|of_row| *of_row == channel);
-        let screened = self.estimator.outliers().zip(row);
-        !screened.is_some_and(|(outliers, row)| outliers.channels()[row].faulty())
+        let screened = self.estimator.outliers().zip(self.row_of(channel));
+        let is_rejected = screened.is_some_and(|(outliers, row)| outliers.channels()[row].faulty());
+        !is_rejected && !self.has_sudden_fault(channel)
     }
 
     /// Compares the sensors by a frame, or by the one before it if spikes are removed. Returns the
@@ -203,7 +206,10 @@ impl Identification {
             let mut measured = self.excitation_channels.iter().flatten();
             measured.any(|channel| self.is_faulty(*channel))
         };
-        self.check.is_in_doubt(|channel| self.uses(channel)) || self.settling > 0 || faulty_ground()
+        self.check.is_in_doubt(|channel| self.uses(channel))
+            || self.sudden.is_in_doubt()
+            || self.settling > 0
+            || faulty_ground()
     }
 
     /// Returns the channels that the check excludes.
@@ -228,7 +234,7 @@ impl Identification {
     }
 
     fn is_faulty(&self, channel: usize) -> bool {
-        let health = self.check.health()[channel];
+        let health = self.health(channel);
         health.is_some_and(|health| health.soundness == Soundness::Faulty)
     }
 
@@ -249,7 +255,7 @@ impl Identification {
             channels: channels
                 .clone()
                 .map(|channel| {
-                    let health = self.check.health()[channel].unwrap_or_default();
+                    let health = self.health(channel).unwrap_or_default();
                     channel_display(&self.channel_names[channel], &health)
                 })
                 .collect(),

@@ -5,6 +5,7 @@ use super::motion::{Motion, MotionState};
 use super::recovery::Recovery;
 use super::reliability::ReliabilityState;
 use super::spikes::Spikes;
+use super::sudden::SuddenFaultsState;
 use super::{Identification, Stream};
 use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
@@ -36,12 +37,13 @@ pub struct IdentificationState {
     motion: Option<MotionState>,
     recent: Vec<f32>,
     recovery: Recovery,
+    sudden: SuddenFaultsState,
 }
 
 impl IdentificationState {
     /// Version of the layout. Every change of a field here or in the nested states must increase
     /// it.
-    pub const VERSION: u16 = 13;
+    pub const VERSION: u16 = 14;
 }
 
 impl Identification {
@@ -73,6 +75,7 @@ impl Identification {
                 false => Vec::new(),
             },
             recovery: self.recovery,
+            sudden: self.sudden.state(),
         }
     }
 
@@ -130,6 +133,13 @@ impl Identification {
         if !self.recent.restore(state.recent) {
             return Err(FilterError::Dimension {
                 what: "recent frames of a checkpoint (0: of other channels, 1: of the structure file)",
+                found: 0,
+                expected: 1,
+            });
+        }
+        if !self.sudden.restore(state.sudden, &self.estimator) {
+            return Err(FilterError::Dimension {
+                what: "sudden faults of a checkpoint (0: of other channels, 1: of the structure file)",
                 found: 0,
                 expected: 1,
             });

@@ -917,3 +917,5 @@ fn flags_state_strong_motion_also_after_a_restart_within_it() {
     core.handle(parts.next().unwrap(), &mut outputs);
     assert_eq!(peaks(&outputs), found);
 }
+
+mod sudden_faults;
