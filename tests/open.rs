@@ -82,6 +82,24 @@ fn reload_does_not_open_the_page_again() {
     assert_eq!(lines(), 1);
 }
 
+/// Regression: the former page sometimes still had the address, and the program ended.
+#[test]
+fn page_has_the_same_address_after_each_of_many_reloads() {
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let page = free.local_addr().unwrap().to_string();
+    drop(free);
+    let services = Process::start(
+        spandrel("run")
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml"))
+            .args(["--http", &page, "--listen", "tcp/127.0.0.1:0"]),
+    );
+    for times in 1..=12 {
+        services.wait_for_output("a page", |text| text.matches("page: ").count() == times);
+        services.hang_up();
+    }
+    services.stop().expect_code(0);
+}
+
 #[test]
 fn demo_opens_the_page_at_the_address_it_prints() {
     let desktop = tempfile::tempdir().unwrap();

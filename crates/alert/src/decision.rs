@@ -104,6 +104,10 @@ pub struct Decision {
     /// it: strong motion is then judged like any other.
     #[serde(skip)]
     strong_m_per_s2: Option<f64>,
+    /// Upper end of the interval of the loss that a person has acknowledged. The first estimate after the
+    /// acknowledgement, or after a restart, sets it.
+    #[serde(skip)]
+    acknowledged_up_to: Option<f64>,
     /// Measured modes that contradict the model, in words. The comparison sets it.
     #[serde(skip)]
     contradicting_modes: Option<Arc<str>>,
@@ -208,6 +212,7 @@ impl Decision {
             decided: DecidedFrames::default(),
             last: None,
             last_alert: None,
+            acknowledged_up_to: None,
             sustained_std: None,
             changes_without: Vec::new(),
             left_out: LeftOut::default(),
@@ -770,8 +775,22 @@ impl Decision {
             },
             Watching::Normal | Watching::Pending { .. } | Watching::Raised { .. } => return false,
         };
+        self.acknowledged_up_to = None;
         self.enter(next, alerts);
         true
+    }
+
+    /// Makes an acknowledged alert a raised one, because its loss has grown since.
+    fn forget_acknowledgement(&mut self, alerts: &mut Vec<Alert>) {
+        self.acknowledged_up_to = None;
+        if let Stage::Watching {
+            watch: Watching::Raised { acknowledged, .. },
+            ..
+        } = &mut self.stage
+        {
+            *acknowledged = None;
+        }
+        self.announce_change(alerts);
     }
 
     fn state(&self) -> AlertState {

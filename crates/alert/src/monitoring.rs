@@ -15,7 +15,7 @@ use spandrel_bus::{
 use spandrel_structure::Structure;
 
 use crate::decision::Vigilance;
-use crate::wording::RESPONSE_IS_SILENT;
+use crate::wording::{RESPONSE_IS_SILENT, SENSORS_DISAGREE};
 use crate::{AlertError, Watch};
 
 /// Span of measurement time over which shares of used samples are computed, s.
@@ -209,7 +209,10 @@ impl Monitoring {
     /// Returns the reason in words. A sensor that is probably faulty is named, if it is known.
     fn words(&self, because: UndecidedBecause) -> String {
         match because {
-            UndecidedBecause::SensorInDoubt if !self.suspects.is_empty() => {
+            UndecidedBecause::SensorInDoubt if self.suspects.is_empty() => {
+                SENSORS_DISAGREE.to_owned()
+            }
+            UndecidedBecause::SensorInDoubt => {
                 format!("{}: {}", because.words(), listed(self.suspects.iter()))
             }
             UndecidedBecause::NothingLearnt if self.is_response_silent() => {
@@ -520,20 +523,17 @@ fn channel_reasons(channels: &[ChannelMonitoring]) -> Vec<String> {
         let of_state = channels
             .iter()
             .filter(|channel| channel.state == State::Degraded);
-        let least = of_state
-            .map(|channel| channel.used_share)
-            .fold(1.0, f64::min);
-        let share = 100.0 * least;
-        reasons.push(match names(State::Degraded).count() {
-            1 => format!(
-                "{share:.0} % of the samples of {} are used",
-                listed(names(State::Degraded))
-            ),
-            _ => format!(
-                "at least {share:.0} % of the samples of each of {} are used",
-                listed(names(State::Degraded))
-            ),
-        });
+        let shares = of_state.clone().map(|channel| 100.0 * channel.used_share);
+        let (least, most) = (
+            shares.clone().fold(100.0, f64::min),
+            shares.fold(0.0, f64::max),
+        );
+        let share = match of_state.count() {
+            1 => format!("{least:.0} %"),
+            _ => format!("{least:.0} to {most:.0} %"),
+        };
+        let names = listed(names(State::Degraded));
+        reasons.push(format!("only {share} of the samples of {names} are used"));
     }
     reasons
 }

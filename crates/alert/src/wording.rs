@@ -8,6 +8,10 @@ use spandrel_bus::{
 use crate::motion::Shaking;
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
+/// Reason of a doubt about the sensors if none of them is named.
+pub(crate) const SENSORS_DISAGREE: &str = "the sensors measure different motions: their motion is too \
+     weak to compare, or a sensor is faulty";
+
 /// Why nothing is decided without samples of the structure.
 pub(crate) const RESPONSE_IS_SILENT: &str = "no sensor of the response delivers usable samples";
 
@@ -70,7 +74,7 @@ pub(crate) fn describe(
         .unwrap_or_default();
     let ends = match found < rule.clear_credibility() {
         true => format!(
-            "; the alert will clear after {}",
+            "; the alert will clear if this lasts for {}",
             duration(rule.sustain_ns())
         ),
         false => String::new(),
@@ -82,8 +86,8 @@ pub(crate) fn describe(
             reference.std()
         ),
         AlertState::Pending => format!(
-            "{name} seems to have lost {how_much}, {of_rule}{since}; the alert will be raised \
-             after {}{}",
+            "{name} seems to have lost {how_much}, {of_rule}{since}; the alert will be raised if \
+             this lasts for {}{}",
             duration(rule.sustain_ns()),
             if alert.follows_jump {
                 "; a sudden change is still being followed"
@@ -105,13 +109,19 @@ pub(crate) fn describe(
                 String::new()
             };
             match alert.undecided_because {
+                // The last decided estimate did not show the loss any more.
+                Some(because) if found < rule.credibility() => format!(
+                    "{name} had an alert{since}; not confirmed now: {}; the last decided estimate \
+                     shows a loss of {how_much}, {of_rule}{seen}",
+                    undecided(because)
+                ),
                 Some(because) => format!(
                     "{name} had lost {how_much}, {of_rule}{since}; not confirmed now: {}{seen}",
                     undecided(because)
                 ),
                 None => format!(
                     "{name} had an alert{since} that the data do not confirm: loss now {how_much}, \
-                     {of_rule}{seen}; the alert will clear after {}",
+                     {of_rule}{seen}; the alert will clear if this lasts for {}",
                     duration(rule.sustain_ns())
                 ),
             }

@@ -70,7 +70,7 @@ pub(crate) struct Guest {
 #[derive(Debug)]
 pub(crate) struct Door {
     guests: mpsc::Receiver<Guest>,
-    _taking: JoinSet<()>,
+    taking: JoinSet<()>,
 }
 
 impl Door {
@@ -78,10 +78,12 @@ impl Door {
         let (out, guests) = mpsc::channel(GUESTS_WAITING);
         let mut taking = JoinSet::new();
         taking.spawn(take(listener, acceptor, out));
-        Self {
-            guests,
-            _taking: taking,
-        }
+        Self { guests, taking }
+    }
+
+    /// Stops accepting connections, and releases the address.
+    pub(crate) async fn close(mut self) {
+        self.taking.shutdown().await;
     }
 
     /// Returns the next connection, or `None` after accepting has ended.

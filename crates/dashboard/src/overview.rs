@@ -1,7 +1,7 @@
 //! Overview of a structure: whether it needs attention, and why.
 
 use crate::frequencies;
-use crate::sensors::{SensorState, sensor_states};
+use crate::sensors::{SensorHealth, SensorState, sensor_states};
 use crate::store::Store;
 use crate::view::present_loss;
 use serde::Serialize;
@@ -320,7 +320,17 @@ fn sensor_count(store: &Store) -> SensorCount {
         .iter()
         .filter(|sensor| sensor.health.is_trouble())
         .collect();
-    let doubtful = troubled.iter().filter(|sensor| sensor.health.delivers());
+    // A faulty sensor on the ground is still used, because nothing replaces it.
+    let drawing = &store.about.drawing;
+    let is_excitation = |channel: &str| {
+        let mut sensors = drawing.sensors.iter();
+        sensors.any(|sensor| sensor.excitation && sensor.channel == channel)
+    };
+    let doubtful = troubled.iter().filter(|sensor| {
+        let is_faulty_ground =
+            sensor.health == SensorHealth::Faulty && is_excitation(&sensor.channel);
+        sensor.health.delivers() || is_faulty_ground
+    });
     SensorCount {
         alive: states
             .iter()

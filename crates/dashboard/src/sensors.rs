@@ -32,7 +32,7 @@ pub(crate) enum SensorHealth {
     Excluded,
     /// Its record or simulation has ended.
     Ended,
-    /// No message about the channel has arrived yet.
+    /// No present message shows whether its samples are used.
     Unknown,
 }
 
@@ -79,7 +79,10 @@ pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState<'_>> {
     let state = |sensor: &DrawnSensor| SensorState {
         channel: sensor.channel.clone(),
         node: sensor.node.clone(),
-        health: health(store, sensor),
+        health: match health(store, sensor) {
+            SensorHealth::Alive if store.is_stale() => SensorHealth::Unknown,
+            health => health,
+        },
         compared: compared(store, sensor),
         clock: clock(store, sensor),
         last_used_s: store
@@ -141,6 +144,13 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
             SensorHealth::Gone
         };
     }
+    // Estimates name the used channels of the response only.
+    if let Some(share) = used_share(store, channel).filter(|_| sensor.excitation) {
+        return match share > 0.0 {
+            true => SensorHealth::Alive,
+            false => SensorHealth::Silent,
+        };
+    }
     let last_used = store.used_ns.get(channel);
     match (last_used, store.used_ns.values().max()) {
         (Some(used), Some(latest)) if latest - used > SILENT_AFTER_NS => SensorHealth::Silent,
@@ -158,6 +168,14 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
         (None, _) if is_there => SensorHealth::Alive,
         (None, _) => SensorHealth::Unknown,
     }
+}
+
+/// Returns the share of the samples of a channel that the filter uses, as the alert service reports it.
+fn used_share(store: &Store, channel: &str) -> Option<f64> {
+    let display = store.state.monitoring()?;
+    let mut channels = display.channels.iter();
+    let of_channel = channels.find(|of| of.channel.as_str() == channel)?;
+    Some(of_channel.used_share)
 }
 
 /// Returns the time of the first received estimate.

@@ -208,7 +208,6 @@ impl DashboardService {
         stop: BoxedFuture<'_, ()>,
     ) -> BoxedFuture<'_, Result<(), DashboardError>> {
         Box::pin(async move {
-            // The set aborts the task when dropped, so that the next run can use the same address.
             let mut browsers = JoinSet::new();
             browsers.spawn(serve(
                 self.door,

@@ -46,7 +46,7 @@ pub(crate) async fn serve(mut door: Door, router: Router, stopped: watch::Receiv
             _ = stopping.wait_for(|stopped| *stopped) => break,
         }
     }
-    drop(door);
+    door.close().await; // the next run needs the address
     while connections.join_next().await.is_some() {}
 }
 

@@ -231,7 +231,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Sets whether the coming frames can teach the parameters anything.
     ///
     /// If they cannot, the frames update the motion only. The parameters keep their means, and the
-    /// published covariance stays. A filter that does not measure its misfit ignores the setting.
+    /// published covariance stays.
     pub fn set_teaching(&mut self, teaches: bool) {
         self.work.teaches = teaches;
     }

@@ -217,12 +217,17 @@ impl Particles {
 
     pub(crate) fn restart(&mut self) -> Result<(), FilterError> {
         let restarted = self.filter.restart();
-        self.health = Health::NEW;
+        (self.health, self.effective) = (Health::NEW, (0.0, 0));
         self.take_estimates();
         restarted
     }
 
+    /// Discards the motion. Particles that have lost the state know nothing about the parameters
+    /// either, and restart from the prior.
     pub(crate) fn forget_motion(&mut self) {
+        if self.health.is_lost() && self.restart().is_ok() {
+            return;
+        }
         self.filter.forget_motion();
         self.health = Health::NEW;
         self.take_estimates();

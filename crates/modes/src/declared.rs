@@ -83,6 +83,8 @@ struct Followed {
     is_lost: bool,
     /// Last frequency (Hz). `None` before the mode was found for the first time.
     last_hz: Option<f64>,
+    /// Last frequency in the former runs of the frames (Hz).
+    former_hz: Option<f64>,
 }
 
 impl DeclaredState {
@@ -92,6 +94,7 @@ impl DeclaredState {
             present: VecDeque::new(),
             is_lost: false,
             last_hz: None,
+            former_hz: None,
         };
         Self {
             tracker: Tracker::new(BIRTH_EPOCHS),
@@ -107,6 +110,11 @@ impl DeclaredState {
 }
 
 impl Followed {
+    /// Returns the last frequency in any run (Hz).
+    fn known_hz(&self) -> Option<f64> {
+        self.last_hz.or(self.former_hz)
+    }
+
     fn note(&mut self, is_present: bool) {
         if self.present.len() == PRESENCE_WINDOW {
             self.present.pop_front();
@@ -207,10 +215,13 @@ impl DeclaredModes {
         fits
     }
 
-    /// Forgets all epochs, except for the commissioning of the stiffnesses. The structure is the
-    /// same in another run of its frames.
+    /// Forgets all epochs, except for the commissioning of the stiffnesses and the last frequencies. The
+    /// structure is the same in another run of its frames.
     pub(crate) fn clear(&mut self) {
-        self.state = DeclaredState::new(self.modes.len());
+        let former = std::mem::replace(&mut self.state, DeclaredState::new(self.modes.len()));
+        for (followed, former) in self.state.modes.iter_mut().zip(former.modes) {
+            followed.former_hz = former.known_hz();
+        }
     }
 
     /// Processes an epoch, and appends its messages and events to `outputs`.
@@ -272,11 +283,8 @@ impl DeclaredModes {
             let Some(id) = followed.id.filter(|_| followed.is_lost) else {
                 continue;
             };
-            if seen
-                .starts(tracker, declared, BIRTH_EPOCHS)
-                .next()
-                .is_some()
-            {
+            let near = seen.starts(tracker, declared, None, BIRTH_EPOCHS);
+            if near.count() > 0 {
                 tracker.release(id);
                 followed.id = None;
             }
@@ -295,7 +303,7 @@ impl DeclaredModes {
                 Some(_) => BIRTH_EPOCHS,
                 None => 1,
             };
-            let near = seen.starts(tracker, declared, least_seen);
+            let near = seen.starts(tracker, declared, followed.known_hz(), least_seen);
             starts.extend(near.map(|(distance, id)| (distance, index, id)));
         }
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -455,7 +463,7 @@ impl DeclaredModes {
         let (near_hz, within) = match &estimate {
             Some(estimate) => (estimate.frequency_hz, SAME_MACHINE),
             None => (
-                followed.last_hz.unwrap_or(declared.frequency_hz),
+                followed.known_hz().unwrap_or(declared.frequency_hz),
                 declared.within,
             ),
         };
@@ -514,20 +522,26 @@ impl Seen<'_> {
         Some(mode)
     }
 
-    /// Returns the candidates with which a declared mode can start, with their distances |Δ ln f|.
+    /// Returns the candidates with which a declared mode can start, with their distances |Δ ln f| from
+    /// its last frequency `last_hz`, or from the declared one.
+    ///
+    /// The mode can have drifted far from the declared frequency before a gap.
     fn starts(
         &self,
         tracker: &Tracker,
         declared: &DeclaredMode,
+        last_hz: Option<f64>,
         least_seen: u64,
     ) -> impl Iterator<Item = (f64, ModeId)> {
+        let near_hz = last_hz.unwrap_or(declared.frequency_hz);
         let modes = self.found.iter().zip(&self.of_mode);
         modes.filter_map(move |(mode, id)| {
             let id = (*id)?;
             let is_known = tracker.candidate(id)?.seen >= least_seen;
-            let difference = (mode.frequency_hz - declared.frequency_hz).abs();
-            let is_near = difference <= declared.within * declared.frequency_hz;
-            let distance = (mode.frequency_hz / declared.frequency_hz).ln().abs();
+            let is_near = [near_hz, declared.frequency_hz]
+                .iter()
+                .any(|hz| (mode.frequency_hz - hz).abs() <= declared.within * hz);
+            let distance = (mode.frequency_hz / near_hz).ln().abs();
             (is_known && is_near && is_certain(mode)).then_some((distance, id))
         })
     }

@@ -36,6 +36,11 @@ pub(crate) fn plan(modes: &[(&str, f64)]) -> ModalPlan {
 
 /// Returns frames of a structure with modes at 1 and 2.5 Hz under a random force.
 pub(crate) fn frames(count: usize) -> Vec<[f64; CHANNELS]> {
+    frames_of([1.0, 2.5], count)
+}
+
+/// Returns frames of a structure with two modes (Hz) under a random force.
+pub(crate) fn frames_of(modes_hz: [f64; 2], count: usize) -> Vec<[f64; CHANNELS]> {
     let mut noise = 1_u32;
     let mut random = move || {
         noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -44,7 +49,7 @@ pub(crate) fn frames(count: usize) -> Vec<[f64; CHANNELS]> {
     let mut motion = [[0.0; 2]; 2];
     let mut frame = || {
         let force = random();
-        for (state, frequency_hz) in motion.iter_mut().zip([1.0, 2.5]) {
+        for (state, frequency_hz) in motion.iter_mut().zip(modes_hz) {
             let rotation = std::f64::consts::TAU * frequency_hz / RATE_HZ;
             let next = 2.0 * 0.99 * rotation.cos() * state[0] - 0.99 * 0.99 * state[1] + force;
             *state = [next, state[0]];

@@ -7,7 +7,7 @@ use crate::origin::Origin;
 use crate::quiet::Quiet;
 use crate::state::NoticeState;
 use serde::{Deserialize, Serialize};
-use spandrel_bus::{AlertMessage, Maintenance, Name};
+use spandrel_bus::{AlertMessage, AlertState, Maintenance, Name};
 use spandrel_checkpoint::Failures;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -146,6 +146,8 @@ pub(crate) struct Outbox {
     last: BTreeMap<Subject, Content>,
     /// The last change sent in each state, for each alert that is not over.
     told: BTreeMap<Subject, Vec<AlertMessage>>,
+    /// States of the monitoring since each structure was last watched. Not in the checkpoint.
+    sights: BTreeMap<Subject, BTreeSet<NoticeState>>,
     /// Structures whose state has changed since the last checkpoint.
     changed: BTreeSet<Name>,
     pub(crate) sent: u64,
@@ -175,6 +177,7 @@ impl Outbox {
             known: BTreeMap::new(),
             last: BTreeMap::new(),
             told: BTreeMap::new(),
+            sights: BTreeMap::new(),
             changed: BTreeSet::new(),
             sent: 0,
             failures: 0,
@@ -206,8 +209,12 @@ impl Outbox {
             | Report::Earthquake(_)
             | Report::Clock(_) => true,
         };
+        let ended = self.ended_sights(&of, content);
         for place in &mut self.boxes {
-            let is_wished = place.wish.wants(content.state());
+            // Whoever does not know that a structure was not watched needs no notice of the end.
+            let knows =
+                ended.is_empty() || ended.iter().any(|state| place.wish.wants(Some(*state)));
+            let is_wished = place.wish.wants(content.state()) && knows;
             let is_real = content.circumstances.origin == Origin::Measured;
             if !is_real && !place.wish.simulations {
                 place.standing.remove(&of);
@@ -239,12 +246,28 @@ impl Outbox {
         }
     }
 
+    /// Records the state of a monitoring. Returns the states that have ended if the structure is watched
+    /// again.
+    fn ended_sights(&mut self, of: &Subject, content: &Content) -> BTreeSet<NoticeState> {
+        let (Report::Monitoring(_), Some(state)) = (&content.report, content.state()) else {
+            return BTreeSet::new();
+        };
+        if content.is_open() {
+            self.sights.entry(of.clone()).or_default().insert(state);
+            return BTreeSet::new();
+        }
+        self.sights.remove(of).unwrap_or_default()
+    }
+
     /// Returns `true` if an alert is worth sending, and records it as sent.
     ///
     /// A state that was sent before is sent again once its loss is at least [`LOUDER`] times the
-    /// largest loss sent.
+    /// largest loss sent. So is an acknowledged alert that is raised again.
     fn is_news(&mut self, of: &Subject, alert: &AlertMessage) -> bool {
         let told = self.told.entry(of.clone()).or_default();
+        if alert.state == AlertState::Acknowledged {
+            told.retain(|before| before.state != AlertState::Raised);
+        }
         let is_of_alert = |before: &AlertMessage| {
             !alert.stands()
                 || (before.since_ns, before.rule_loss) == (alert.since_ns, alert.rule_loss)

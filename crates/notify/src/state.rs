@@ -5,7 +5,7 @@ use spandrel_bus::{AlertState, ChangeKind, MonitoringState};
 
 /// A state of an alert, of the monitoring of a structure or of the clock of a node, or a lasting
 /// change of a quantity.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(try_from = "String")]
 pub enum NoticeState {
     /// The reference of an alert is being learnt.

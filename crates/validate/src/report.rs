@@ -42,10 +42,11 @@ pub struct FigureReport {
 }
 
 impl FigureReport {
-    /// Returns `true` if the figure misses its requirement and no reason is known.
+    /// Returns `true` if the figure misses its requirement and no reason is known, or if a number could
+    /// not be determined.
     #[must_use]
     pub fn is_surprise(&self) -> bool {
-        !self.passed && self.known_miss.is_none()
+        !self.passed && (self.known_miss.is_none() || self.measured.contains(&None))
     }
 }
 

@@ -126,6 +126,16 @@ impl Mean {
     }
 }
 
+/// Returns the larger of two values. Unlike [`f64::max`], it returns NaN if one of them is NaN, so that a
+/// fold over values contains an unknown one.
+pub(crate) fn larger(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() {
+        f64::NAN
+    } else {
+        a.max(b)
+    }
+}
+
 /// Returns the smallest of some shares, at most 1. Returns NaN, which meets no requirement, if a
 /// share is NaN.
 pub(crate) fn least(shares: impl Iterator<Item = f64>) -> f64 {

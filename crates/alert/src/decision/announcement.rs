@@ -19,7 +19,7 @@ impl Decision {
 
     /// Announces a raised alert again if its loss has changed, or if a sudden change has ended.
     pub(super) fn revise(&mut self, alerts: &mut Vec<Alert>) {
-        let (Some(last), Some((estimate, flags))) = (&self.last_alert, &self.last) else {
+        let (Some(last), Some((estimate, flags))) = (&self.last_alert, self.last) else {
             return;
         };
         let Some(reference) = self.reference() else {
@@ -30,8 +30,17 @@ impl Decision {
         if !is_raised || !is_due {
             return;
         }
+        let now = loss_estimate(&estimate, &reference);
+        let is_seen = last.state == AlertState::Acknowledged;
+        if let Some(told) = last.loss.filter(|_| is_seen) {
+            // The first revision after the acknowledgement is still to come.
+            let seen = *self.acknowledged_up_to.get_or_insert(told.high);
+            if now.low > seen && !flags.follows_jump {
+                self.forget_acknowledgement(alerts);
+                return;
+            }
+        }
         let has_jumped = last.follows_jump && !flags.follows_jump;
-        let now = loss_estimate(estimate, &reference);
         let has_moved = last.loss.is_none_or(|told| {
             !losses_agree((told.loss, told.interval()), (now.loss, now.interval()))
         });

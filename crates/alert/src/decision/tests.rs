@@ -201,6 +201,23 @@ fn acknowledged_alert_clears_to_normal() {
     );
 }
 
+/// Regression: the growth of a loss that somebody had seen was silent.
+#[test]
+fn acknowledged_alert_is_raised_again_when_its_loss_has_grown() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, SOFT, SURE);
+    assert!(drive.acknowledge());
+    drive.estimates(11..20, SOFT, SURE);
+    drive.estimates(20..30, SOFT - 0.1, SURE);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Raised, 10), (Seen, 10), (Raised, 20)]
+    );
+    assert!(drive.acknowledge());
+    drive.estimates(30..50, SOFT - 0.1, SURE);
+    assert_eq!(drive.states()[4..], [(Seen, 29)]);
+}
+
 #[test]
 fn unacknowledged_cleared_alert_stays_cleared_until_its_acknowledgement() {
     let mut drive = Drive::new(rule());

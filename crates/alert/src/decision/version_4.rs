@@ -43,6 +43,7 @@ impl From<Decision> for crate::Decision {
             changes_without: Vec::new(),
             left_out: super::left_out::LeftOut::default(),
             strong_m_per_s2: None,
+            acknowledged_up_to: None,
             contradicting_modes: None,
         }
     }

@@ -2,7 +2,7 @@
 
 use spandrel_record::record_time::parse_time_ns;
 
-use super::{LineFault, TimeField};
+use super::{LineFault, TIME, TimeField};
 use crate::packet::Packet;
 
 /// What a row needs to be read.
@@ -39,9 +39,8 @@ impl Row<'_> {
             None => None,
             Some(time) => {
                 let text = cell(&time.name).unwrap_or_default();
-                let time_ns = parse_time_ns(text, time.unit).ok_or_else(|| {
-                    LineFault::new(&*time.name, text, "must be a number or an ISO 8601 time")
-                })?;
+                let time_ns = parse_time_ns(text, time.unit)
+                    .ok_or_else(|| LineFault::new(&*time.name, text, TIME))?;
                 Some(time_ns)
             }
         };

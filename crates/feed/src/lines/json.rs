@@ -3,7 +3,7 @@
 use serde_json::Value;
 use spandrel_record::record_time::parse_time_ns;
 
-use super::{LineFault, TimeField};
+use super::{LineFault, TIME, TimeField};
 use crate::packet::Packet;
 
 /// Maximum number of samples of a channel in one object.
@@ -54,9 +54,7 @@ fn field_of<'v>(object: &'v Value, field: &str) -> Option<&'v Value> {
 }
 
 fn time_ns(object: &Value, time: &TimeField) -> Result<i64, LineFault> {
-    let fault = |found: &dyn std::fmt::Display| {
-        LineFault::new(&*time.name, found, "must be a number or an ISO 8601 time")
-    };
+    let fault = |found: &dyn std::fmt::Display| LineFault::new(&*time.name, found, TIME);
     // The shortest decimal text of a number is exact, unlike a product of floating-point numbers.
     let text = match field_of(object, &time.name) {
         Some(Value::Number(number)) => number.to_string(),

@@ -49,6 +49,8 @@ pub struct ClassBank<S: ComponentSystem> {
     state: BankState,
     events: Vec<ClassEvent>,
     work: Workspace,
+    /// Whether the coming frames can teach anything.
+    teaches: bool,
 }
 
 /// The state of a bank without its filters.
@@ -157,6 +159,7 @@ impl<S: ComponentSystem> ClassBank<S> {
             state,
             events: Vec::new(),
             work,
+            teaches: true,
         };
         bank.start()?;
         Ok(bank)
@@ -205,10 +208,11 @@ impl<S: ComponentSystem> ClassBank<S> {
         self.events.clear();
         self.step_filters(frame);
         self.weigh();
-        let log_evidence = self
-            .state
-            .plausibilities
-            .update(&self.work.log_evidences, self.settings.floor);
+        let plausibilities = &mut self.state.plausibilities;
+        let log_evidence = match self.teaches {
+            true => plausibilities.update(&self.work.log_evidences, self.settings.floor),
+            false => self.work.log_evidences[self.state.lead],
+        };
         if log_evidence == f64::NEG_INFINITY {
             let lost = &self.members[self.state.lead].result;
             return Err(lost.clone().err().unwrap_or(FilterError::NotFinite {
@@ -235,7 +239,7 @@ impl<S: ComponentSystem> ClassBank<S> {
         self.note_limited(leader, step.limited_states);
         self.appoint(leader);
         self.restart_lost(leader)?;
-        if step.used_channels > 0 {
+        if step.used_channels > 0 && self.teaches {
             self.act(leader)?;
         }
         self.combine();
@@ -451,9 +455,12 @@ impl<S: ComponentSystem> ClassBank<S> {
         adapts || self.template.outliers.is_some()
     }
 
-    /// Sets whether the next frame can teach the parameters anything, as in
+    /// Sets whether the coming frames can teach the parameters anything, as in
     /// [`ExtendedKalmanFilter::set_teaching`].
+    ///
+    /// If they cannot, the plausibilities stay as well, and nothing is calibrated.
     pub fn set_teaching(&mut self, teaches: bool) {
+        self.teaches = teaches;
         let filters = self.members.iter_mut().map(|member| &mut member.filter);
         filters.for_each(|filter| filter.set_teaching(teaches));
     }

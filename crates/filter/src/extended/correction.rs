@@ -62,8 +62,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         );
     }
 
-    /// Measures the effect of misfit on the parameters, reduces the corrections of this step
-    /// accordingly and follows jumps.
+    /// Takes back what a step without information has changed. Measures the effect of misfit on the
+    /// parameters, reduces the corrections of this step accordingly and follows jumps.
     pub(super) fn answer_misfit(&mut self, normalised_innovation_squared: f64) {
         let Self {
             model,
@@ -72,9 +72,6 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             work,
             ..
         } = self;
-        let (Some(misfit_settings), Some(misfit)) = (&settings.misfit, &mut state.misfit) else {
-            return;
-        };
         let Workspace {
             misfit: scratch,
             mean,
@@ -84,10 +81,17 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
             teaches,
             ..
         } = work;
+        if *teaches && state.misfit.is_none() {
+            return;
+        }
         scratch.read(&update.variances, p_ht, update.whitened());
         if !*teaches {
             scratch.unlearn(settings.fading, mean, covariance);
         }
+        let (Some(misfit_settings), Some(misfit)) = (&settings.misfit, &mut state.misfit) else {
+            diagonal_to(covariance, &mut update.variances);
+            return;
+        };
         let is_excitation_known = !state.last_excitation.iter().any(|sample| sample.is_nan());
         let jumped = misfit.take(
             misfit_settings,

@@ -10,43 +10,32 @@ use super::{
 use crate::error::FilterError;
 use crate::extended::{ExtendedKalmanFilter, FilterSettings, FilterState, Frame};
 use crate::model::{ObservationModel, ProcessModel};
+use crate::noise::NoisePhase;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 /// The complete state of a warm-started filter between two steps, for a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one of them exists per filter, and it lives in a checkpoint only"
-)]
-pub enum WarmStartState {
-    /// The Kalman filter is running.
-    Warming {
-        /// The Kalman filter.
-        kalman: FilterState,
-        /// Number of frames left for the Kalman filter.
-        left: u64,
-    },
-    /// The particle filter is running, with the noise levels (N_ψ) identified by the Kalman filter.
-    Running {
-        /// The particles.
-        particles: ParticleState,
-        /// The noise levels.
-        noise_levels: DVector<f64>,
-    },
+pub struct WarmStartState {
+    /// The Kalman filter, which is idle while the particle filter runs.
+    kalman: FilterState,
+    /// Number of frames left for the Kalman filter.
+    left: u64,
+    /// `None` while the Kalman filter runs.
+    particles: Option<ParticleState>,
 }
 
 /// A particle filter of any [`ProcessModel`] and [`ObservationModel`], with a Kalman filter for its
 /// first frames.
 ///
 /// The particle filter starts from the mean and the covariance of the Kalman filter, including
-/// correlations. It also takes over the noise levels, which then remain constant.
+/// correlations. It also takes over the noise levels, which then remain constant. The Kalman filter
+/// therefore runs until their training has ended, even if this takes longer than planned.
 #[derive(Debug, Clone)]
 pub struct WarmStartedParticleFilter<M> {
     kalman: ExtendedKalmanFilter<M>,
     particles: ParticleFilter<ExcitedSystem<M>>,
     prior: GaussianStart,
-    noise_levels: DVector<f64>,
     warm_steps: u64,
     /// Number of frames left for the Kalman filter.
     left: u64,
@@ -57,7 +46,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     ///
     /// - `drift_std`: standard deviation of the increment of each parameter per step (N_θ,
     ///   parameter units)
-    /// - `warm_steps`: number of frames for the Kalman filter; 0 draws the particles from the prior
+    /// - `warm_steps`: number of frames for the Kalman filter; 0 draws the particles from the prior,
+    ///   if no noise level must be trained
     ///
     /// # Errors
     /// Returns an error if a setting does not fit the model or is out of range.
@@ -72,14 +62,12 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
         let prior = system.start_at_prior(&settings);
         let particles = ParticleFilter::new(system, particle_settings, prior.clone())?;
         let kalman = ExtendedKalmanFilter::new(model, settings)?;
-        let noise_levels = kalman.noise().mean.clone();
         Ok(Self {
+            left: first_steps(&kalman, warm_steps),
             kalman,
             particles,
             prior,
-            noise_levels,
             warm_steps,
-            left: warm_steps,
         })
     }
 
@@ -90,8 +78,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// [`WarmStartedParticleFilter::new`].
     pub fn restart(&mut self) -> Result<(), FilterError> {
         self.kalman.restart();
-        self.left = self.warm_steps;
-        self.take_noise_levels(self.kalman.noise().mean.clone())?;
+        self.left = first_steps(&self.kalman, self.warm_steps);
+        self.take_noise_levels()?;
         self.particles.restart_from(self.prior.clone())
     }
 
@@ -132,9 +120,10 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
             return self.particles.step(frame);
         }
         let step = self.kalman.step(frame)?;
-        self.left -= 1;
+        let is_training = self.kalman.noise().phase == NoisePhase::Training;
+        self.left = (self.left - 1).max(u64::from(is_training));
         if self.left == 0 {
-            self.take_noise_levels(self.kalman.noise().mean.clone())?;
+            self.take_noise_levels()?;
             self.particles
                 .restart_from(self.particles.model().start_after(&self.kalman))?;
         }
@@ -223,16 +212,11 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
 
     /// Returns the state for a checkpoint.
     pub fn state(&self) -> WarmStartState {
-        if self.left > 0 {
-            WarmStartState::Warming {
-                kalman: self.kalman.state().clone(),
-                left: self.left,
-            }
-        } else {
-            WarmStartState::Running {
-                particles: self.particles.state().clone(),
-                noise_levels: self.noise_levels.clone(),
-            }
+        let particles = || self.particles.state().clone();
+        WarmStartState {
+            kalman: self.kalman.state().clone(),
+            left: self.left,
+            particles: (self.left == 0).then(particles),
         }
     }
 
@@ -242,32 +226,34 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// # Errors
     /// Returns an error if the state does not fit the model or the settings.
     pub fn restore(&mut self, state: WarmStartState) -> Result<(), FilterError> {
-        match state {
-            WarmStartState::Warming { kalman, left } => {
-                self.kalman.restore(kalman)?;
-                self.left = left.max(1);
-            }
-            WarmStartState::Running {
-                particles,
-                noise_levels,
-            } => {
-                self.particles.restore(particles)?;
-                self.take_noise_levels(noise_levels)?;
-                self.left = 0;
-            }
-        }
-        Ok(())
+        self.kalman.restore(state.kalman)?;
+        let Some(particles) = state.particles else {
+            self.left = state.left.max(1);
+            return Ok(());
+        };
+        self.particles.restore(particles)?;
+        self.left = 0;
+        self.take_noise_levels()
     }
 
-    fn take_noise_levels(&mut self, levels: DVector<f64>) -> Result<(), FilterError> {
+    /// Gives the particles the noise levels of the Kalman filter.
+    fn take_noise_levels(&mut self) -> Result<(), FilterError> {
+        let levels = &self.kalman.noise().mean;
         let mut taken = Ok(());
         self.particles.update_model(|model| {
-            if let Err(error) = model.take_noise_levels(&levels) {
+            if let Err(error) = model.take_noise_levels(levels) {
                 taken = Err(error);
             }
         });
-        taken?;
-        self.noise_levels = levels;
-        Ok(())
+        taken
     }
+}
+
+/// Returns the number of frames for the Kalman filter, at least one if it trains noise levels.
+fn first_steps<M: ProcessModel + ObservationModel>(
+    kalman: &ExtendedKalmanFilter<M>,
+    warm_steps: u64,
+) -> u64 {
+    let is_training = kalman.noise().phase == NoisePhase::Training;
+    warm_steps.max(u64::from(is_training))
 }

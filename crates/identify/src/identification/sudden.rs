@@ -55,7 +55,7 @@ const SOUND: f64 = 3.0;
 const VISIBLE: f64 = 20.0;
 
 /// Largest variance of a dead sensor, as a share of the mean square of the prediction.
-const DEAD: f64 = 0.1;
+const DEAD: f64 = 0.02;
 
 /// Squared coherence of a sensor with its prediction from which a factor describes its fault.
 const COHERENT: f64 = 0.8;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{CHANNELS, EPOCH_S, RATE_HZ, block, frames, name, plan, t0_ns};
+use crate::testing::{CHANNELS, EPOCH_S, RATE_HZ, block, frames, frames_of, name, plan, t0_ns};
 use spandrel_bus::{ModeDisplay, ModeState};
 
 /// Number of frames that contain two epochs.
@@ -175,6 +175,35 @@ fn a_new_run_begins_anew() {
     let fresh = run(&mut following(), 2, &all, 0, 128);
     assert_eq!(again, fresh);
     assert_eq!(core.declared().epochs(), 2);
+}
+
+/// Regression: the mode was then looked for near its declared frequency only, and lost.
+#[test]
+fn mode_that_has_drifted_is_found_in_a_new_run() {
+    let plan = plan(&[("first", 1.0), ("second", 2.5)]);
+    let mut core = Following::new(&name("tower"), &plan, None).unwrap();
+    // The mode moves by 2 % with each epoch, and is declared within 5 %.
+    let epochs: Vec<f64> = (0..6).map(|epoch| 1.0 - 0.02 * f64::from(epoch)).collect();
+    let last_hz = epochs[epochs.len() - 1];
+    let drifting: Vec<[f64; CHANNELS]> = epochs
+        .iter()
+        .flat_map(|hz| frames_of([*hz, 2.5], 3_400))
+        .collect();
+    let outputs = run(&mut core, 1, &drifting, 0, 128);
+    let tracked_hz = displays(&outputs).iter().rev().find_map(|display| {
+        let estimate = display.estimate.as_ref()?;
+        (display.mode.as_str() == "first").then_some(estimate.frequency_hz)
+    });
+    assert!(
+        (tracked_hz.unwrap() - last_hz).abs() < 0.03,
+        "{tracked_hz:?}"
+    );
+    let again = run(&mut core, 2, &frames_of([last_hz, 2.5], TWO_EPOCHS), 0, 128);
+    let first = displays(&again)[0];
+    assert_eq!(
+        (first.mode.as_str(), first.state),
+        ("first", ModeState::Tracked)
+    );
 }
 
 #[test]

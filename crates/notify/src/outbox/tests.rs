@@ -1,5 +1,5 @@
 use super::*;
-use crate::testing::{alert, content, maintenance, name, of_alert, s};
+use crate::testing::{alert, content, maintenance, monitoring, name, of_alert, s};
 use spandrel_bus::{AlertState, MonitoringState};
 
 /// Returns the alert of a notice.
@@ -190,6 +190,57 @@ fn confirmed_alert_and_repeated_end_are_not_sent_again() {
     use AlertState::{Cleared, Raised, Unconfirmed};
     let states = [Raised, Unconfirmed, Raised, Cleared, Cleared, Raised].map(|state| (state, 0.12));
     assert_eq!(sent(&states), [states[0], states[3], states[5]]);
+}
+
+#[test]
+fn acknowledged_alert_that_is_raised_again_is_sent() {
+    use AlertState::{Acknowledged, Raised};
+    let states = [
+        (Raised, 0.12),
+        (Acknowledged, 0.12),
+        (Acknowledged, 0.13),
+        (Raised, 0.16),
+    ];
+    let expected = [(Raised, 0.12), (Raised, 0.16)];
+    let mut found = sent(&states);
+    found.retain(|(state, _)| *state == Raised);
+    assert_eq!(found, expected);
+}
+
+/// Regression: receivers learnt that a structure is watched again, but not that it had not been.
+#[test]
+fn end_of_a_blindness_is_sent_to_those_who_know_of_it() {
+    let wish = |states: &[NoticeState]| Wish {
+        states: states.to_vec(),
+        ..Wish::default()
+    };
+    use NoticeState::{Blind, Degraded, Watching};
+    let mut outbox = Outbox::new(vec![
+        wish(&[Blind, Watching]),
+        wish(&[Blind, Degraded, Watching]),
+    ]);
+    let mut sent = Vec::new();
+    let spans = [
+        MonitoringState::Degraded,
+        MonitoringState::Watching,
+        MonitoringState::Blind,
+        MonitoringState::Degraded,
+        MonitoringState::Watching,
+    ];
+    for (number, state) in spans.into_iter().enumerate() {
+        let second = 10 * number as i64;
+        let report = monitoring(second, state, second, &[]);
+        let now = s(10 * number as u64);
+        outbox.take(&content(Report::Monitoring(report)), at(now));
+        for notice in outbox.due(now) {
+            sent.push((number, notice.receiver));
+            outbox.done(notice.receiver, true, now);
+        }
+    }
+    assert_eq!(
+        sent,
+        [(0, 1), (1, 1), (2, 0), (2, 1), (3, 1), (4, 0), (4, 1)]
+    );
 }
 
 #[test]
@@ -554,7 +605,7 @@ fn maintenance_ends_with_a_summary_and_active_alerts() {
     outbox.maintain(maintenance(None, 0, 3600 * second), 0);
     take(&mut outbox, &alert(20, AlertState::Raised), s(20));
     take(&mut outbox, &alert(30, AlertState::Cleared), s(30));
-    let blind = crate::testing::monitoring(40, MonitoringState::Blind, 40, &["x"]);
+    let blind = monitoring(40, MonitoringState::Blind, 40, &["x"]);
     outbox.take(&content(Report::Monitoring(blind)), at(s(40)));
     assert_eq!(send(&mut outbox, at(s(3599))), NONE);
     assert_eq!(outbox.muted, 2);

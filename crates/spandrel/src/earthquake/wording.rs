@@ -183,10 +183,13 @@ fn unjudged_parts(report: &EventReport) -> Vec<Told<'_>> {
                     .to_owned(),
             );
         }
-        if !report.shook() && !parameter.course.points.is_empty() && !is_predicted(parameter) {
+        if !report.shook()
+            && !parameter.course.points.is_empty()
+            && !is_predicted(parameter, report)
+        {
             tell(format!(
                 "a change in weak motion is not judged, because {}.",
-                unpredictable(parameter)
+                unpredictable(parameter, report)
             ));
         }
         if parameter.course.has_shaking && judgement.softening.is_none() {
@@ -331,13 +334,15 @@ fn lasting_headline(report: &EventReport) -> Option<String> {
             probability(loss.probability)
         ),
         // What other records show says nothing of a record that is not as predicted or shows nothing.
-        _ if report.unpredicted().is_some() || !(report.shook() || is_predicted(parameter)) => {
+        _ if report.unpredicted().is_some()
+            || !(report.shook() || is_predicted(parameter, report)) =>
+        {
             return waits;
         }
         loss => match waits {
             Some(waits) => return Some(waits),
             None => format!(
-                "Weak motion shows no lasting loss of more than {} (P = {}).",
+                "Weak motion shows no lasting loss of more than {} of {name} since {since} (P = {}).",
                 percent(report.settings.loss),
                 probability(loss.probability)
             ),
@@ -512,7 +517,7 @@ pub fn line(report: &EventReport) -> String {
     let unpredicted = report.unpredicted();
     let told = report.worst_loss().filter(|(parameter, _, loss)| {
         let is_silent = waits || unpredicted.is_some();
-        let is_shown = report.shook() || is_predicted(parameter);
+        let is_shown = report.shook() || is_predicted(parameter, report);
         (!is_silent && is_shown) || loss.is_raised || loss.probability >= 0.5
     });
     let mut lasting = Vec::new();
@@ -550,7 +555,10 @@ pub fn line(report: &EventReport) -> String {
         ));
     }
     if lasting.is_empty() {
-        let is_judged = report.parameters.iter().any(is_predicted);
+        let is_judged = report
+            .parameters
+            .iter()
+            .any(|parameter| is_predicted(parameter, report));
         lasting.push(match is_judged {
             true => "weak motion as predicted".to_owned(),
             false => "nothing judged".to_owned(),

@@ -11,7 +11,7 @@ use crate::network::{Network, settled};
 use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{Course, Plan, Scene};
-use crate::statistics::{Accuracy, Mean, least};
+use crate::statistics::{Accuracy, Mean, larger, least};
 use spandrel_structure::Structure;
 use std::path::Path;
 
@@ -109,7 +109,7 @@ pub(super) fn two_dof(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             required,
         ));
         if samples > 1 {
-            let largest = beta.points.iter().map(|point| point[1]).fold(0.0, f64::max);
+            let largest = beta.points.iter().map(|point| point[1]).fold(0.0, larger);
             let required = Required::Within {
                 of: BETA_BOUND,
                 by: 0.0,

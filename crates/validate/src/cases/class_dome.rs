@@ -11,6 +11,7 @@ use crate::figure::{Figure, Required};
 use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{Plan, Scene};
+use crate::statistics::larger;
 use spandrel_filter::{ClassEvent, ClassId, ClassSettings, PersistenceRule};
 
 const FILE: &str = include_str!("../../../../docs/examples/dome-bars.toml");
@@ -194,7 +195,7 @@ fn double_damage(seen: &Comparison, second_s: f64, seconds: f64, figures: &mut V
                 *time_s
             }
         })
-        .fold(0.0, f64::max);
+        .fold(0.0, larger);
     let in_time = f64::from(u8::from(both <= 15.0));
     figures.extend([
         Figure::new(
@@ -234,7 +235,7 @@ fn double_damage(seen: &Comparison, second_s: f64, seconds: f64, figures: &mut V
     let healthy = (0..BARS)
         .filter(|bar| !damaged.contains(bar))
         .map(|bar| error(bar, 1.0))
-        .fold(0.0, f64::max);
+        .fold(0.0, larger);
     figures.push(Figure::new(
         "largest error of a healthy bar in the last 10 s",
         healthy,

@@ -11,6 +11,7 @@ use crate::figure::{Figure, Required};
 use crate::outcome::{Outcome, Plot};
 use crate::run::Run;
 use crate::scene::{Plan, Scene, states_of};
+use crate::statistics::larger;
 use spandrel_filter::{ClassId, ClassPlan, ClassSettings};
 use std::f64::consts::PI;
 
@@ -196,7 +197,7 @@ fn measure(
             )
         })
         .map(|(mean, truth): (f64, f64)| (mean - truth).abs())
-        .fold(0.0, f64::max);
+        .fold(0.0, larger);
     figures.push(Figure::new(
         named("largest error of the weighted estimate of storeys 1 to 6 at the end"),
         worst,

@@ -12,7 +12,7 @@ use crate::network::{Fused, settled};
 use crate::outcome::{Outcome, Table};
 use crate::run::Run;
 use crate::scene::{self, Course, Plan, Scene};
-use crate::statistics::{Accuracy, Mean, least};
+use crate::statistics::{Accuracy, Mean, larger, least};
 use spandrel_structure::Structure;
 
 const BUILDING: &str = include_str!("../../../../docs/examples/forty-storey-building.toml");
@@ -216,7 +216,7 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             .collect();
         let mean = errors.iter().sum::<f64>() / errors.len() as f64;
         error_of.push(mean);
-        let worst = errors.iter().copied().fold(0.0, f64::max);
+        let worst = errors.iter().copied().fold(0.0, larger);
         figures.push(Figure::new(
             format!("{name}: rms error of stiffness, mean"),
             mean,

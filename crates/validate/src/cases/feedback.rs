@@ -14,7 +14,7 @@ use crate::network::{Fused, Network, settled};
 use crate::outcome::{Outcome, Table};
 use crate::run::Run;
 use crate::scene::Course;
-use crate::statistics::{Accuracy, Mean};
+use crate::statistics::{Accuracy, Mean, larger};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -241,7 +241,7 @@ fn largest_at_end(fused: &Fused) -> f64 {
     let last = fused.courses[..GROUPS]
         .iter()
         .filter_map(|course| course.points.last());
-    last.map(|point| point[2]).fold(0.0, f64::max)
+    last.map(|point| point[2]).fold(0.0, larger)
 }
 
 fn largest_change(fused: &Fused) -> f64 {
@@ -255,7 +255,7 @@ fn largest_change(fused: &Fused) -> f64 {
         };
         late().fold(f64::MIN, f64::max) - late().fold(f64::MAX, f64::min)
     };
-    fused.courses[..GROUPS].iter().map(of).fold(0.0, f64::max)
+    fused.courses[..GROUPS].iter().map(of).fold(0.0, larger)
 }
 
 fn difference(one: &Fused, other: &Fused) -> f64 {

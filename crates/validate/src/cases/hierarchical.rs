@@ -12,7 +12,7 @@ use crate::network::settled;
 use crate::outcome::{Outcome, Plot, Series, SeriesKind, Table};
 use crate::run::Run;
 use crate::scene::{Course, Plan, Scene};
-use crate::statistics::{Accuracy, Mean, Uniform, least};
+use crate::statistics::{Accuracy, Mean, Uniform, larger, least};
 use spandrel_filter::Verdict;
 use spandrel_structure::Structure;
 
@@ -49,7 +49,7 @@ struct Rates {
 }
 
 fn share(counts: [f64; 2]) -> f64 {
-    counts[0] / counts[1].max(1.0)
+    counts[0] / counts[1]
 }
 
 /// Replaces samples by spikes and adds the biases. Returns the samples (frames × channels) and
@@ -197,7 +197,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let worst_healthy = (0..nodes.len())
         .filter(healthy)
         .map(|node| excluded[node])
-        .fold(0.0, f64::max);
+        .fold(0.0, larger);
     figures.push(
         Figure::new(
             "healthy nodes: largest share of the fusions that leave one out",
@@ -287,12 +287,12 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             .iter()
             .enumerate()
             .filter(|(channel, _)| healthy(&(channel / 2)));
-        rates.map(|(_, rates)| of(rates)).fold(0.0, f64::max)
+        rates.map(|(_, rates)| of(rates)).fold(0.0, larger)
     };
     figures.extend([
         Figure::new(
             "largest masking of a channel, of spikes farther than six scales of the residuals from the clean sample",
-            rates.iter().map(|rates| share(rates.gross_masked)).fold(0.0, f64::max),
+            rates.iter().map(|rates| share(rates.gross_masked)).fold(0.0, larger),
             judged(Required::AtMost(0.02)),
         )
         .published(0.0008),

@@ -5,7 +5,7 @@ use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
 use crate::outcome::{Outcome, Plot, Series, SeriesKind};
 use crate::run::Run;
-use crate::statistics::{Accuracy, Mean, Normal, rms};
+use crate::statistics::{Accuracy, Mean, Normal, larger, rms};
 use crate::systems::linear;
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{KalmanFilter, LinearModel};
@@ -111,7 +111,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
                     .iter()
                     .enumerate()
                     .map(|(j, steady)| (std(j) / steady - 1.0).abs());
-                drift = change.fold(drift, f64::max);
+                drift = change.fold(drift, larger);
             }
             _ => {}
         }
@@ -210,7 +210,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     }
     let (displacements, velocities) = accuracy.split_at(FLOORS);
     let largest =
-        |of: &[Accuracy], what: fn(&Accuracy) -> f64| of.iter().map(what).fold(0.0, f64::max);
+        |of: &[Accuracy], what: fn(&Accuracy) -> f64| of.iter().map(what).fold(0.0, larger);
     let least_velocity = velocities
         .iter()
         .map(Accuracy::rms_error)

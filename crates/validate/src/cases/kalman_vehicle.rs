@@ -10,7 +10,7 @@ use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
 use crate::outcome::{Outcome, Plot, Series, SeriesKind};
 use crate::run::Run;
-use crate::statistics::{Accuracy, Normal, rms};
+use crate::statistics::{Accuracy, Normal, larger, rms};
 use nalgebra::{DMatrix, DVector};
 use spandrel_filter::{KalmanFilter, LinearModel};
 use std::f64::consts::PI;
@@ -205,9 +205,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             states
                 .map(|j| (estimate[j] - truth[j]).abs())
                 .into_iter()
-                .fold(0.0, f64::max)
+                .fold(0.0, larger)
         };
-        turn.clone().map(error).fold(0.0, f64::max)
+        turn.clone().map(error).fold(0.0, larger)
     };
     let valley = turn
         .clone()

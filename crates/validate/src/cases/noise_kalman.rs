@@ -11,7 +11,7 @@ use crate::figure::{Figure, Judgement, Required};
 use crate::outcome::{Outcome, Table};
 use crate::run::Run;
 use crate::scene::Course;
-use crate::statistics::Mean;
+use crate::statistics::{Mean, larger};
 use crate::systems::tall_building::{
     self, Case, ErrorStatistics, FLOORS, GROUND_INTENSITY, Levels, PRINTED_SENSOR_VARIANCE, Record,
     SENSED, STEP_S, TABULATED, Tabulated, discrete_model, held_variance, mean_wind, modal_model,
@@ -97,7 +97,7 @@ fn worst(found: &Tabulated, reference: &Tabulated) -> f64 {
         .iter()
         .zip(reference)
         .map(|(found, reference)| (found / reference - 1.0).abs())
-        .fold(0.0, f64::max)
+        .fold(0.0, larger)
 }
 
 /// Returns the smallest and largest ratio of two sets.
@@ -110,7 +110,7 @@ fn ratios(found: &Tabulated, reference: &Tabulated) -> (f64, f64) {
     };
     (
         each().fold(f64::INFINITY, f64::min),
-        each().fold(0.0, f64::max),
+        each().fold(0.0, larger),
     )
 }
 
@@ -213,7 +213,7 @@ fn figures_of_five_starts(record: &Record, run: &Run<'_>) -> Result<Vec<Figure>,
         let meet = |trials: &[[f64; 2]]| {
             let apart = |level: usize| {
                 let of_level = || trials.iter().map(move |trial| trial[level]);
-                of_level().fold(0.0, f64::max) / of_level().fold(f64::INFINITY, f64::min)
+                of_level().fold(0.0, larger) / of_level().fold(f64::INFINITY, f64::min)
             };
             apart(0).max(apart(1)) <= 1.02
         };
@@ -581,13 +581,8 @@ fn case(run: &Run<'_>, case: Case) -> Result<Outcome, ValidateError> {
             ));
         }
     }
-    let most = |course: &Course| {
-        course
-            .points
-            .iter()
-            .map(|point| point[3])
-            .fold(0.0, f64::max) as f32
-    };
+    let most =
+        |course: &Course| course.points.iter().map(|point| point[3]).fold(0.0, larger) as f32;
     let plots = online
         .levels
         .iter()

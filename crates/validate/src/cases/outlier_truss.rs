@@ -14,7 +14,7 @@ use crate::figure::{Figure, Required};
 use crate::outcome::{Outcome, Plot, Series, SeriesKind};
 use crate::run::Run;
 use crate::scene::{self, Course, Plan, Scene};
-use crate::statistics::{Accuracy, Uniform};
+use crate::statistics::{Accuracy, Uniform, larger};
 use spandrel_filter::{FadingFactor, OutlierSettings, Verdict, outlier::upper_bound};
 
 const FILE: &str = include_str!("../../../../docs/examples/fourteen-bay-truss.toml");
@@ -312,7 +312,7 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             format!(
                 "regular data, {name} the start-up aid: largest error over its deviation from {from_s} to {until_s} s"
             ),
-            off.fold(0.0, f64::max),
+            off.fold(0.0, larger),
             Required::Reported,
         ));
     }
@@ -325,9 +325,9 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         (plain.courses[0].mean(before_second - 0.06, before_second + 0.06) - 0.95).abs(),
         full(Required::AtLeast(0.015)),
     ));
-    let share = |counts: &[f64; 2]| counts[0] / counts[1].max(1.0);
+    let share = |counts: &[f64; 2]| counts[0] / counts[1];
     let swamped: Vec<f64> = proposed.swamped.iter().map(share).collect();
-    let largest = |counts: &[[f64; 2]]| counts.iter().map(share).fold(0.0, f64::max);
+    let largest = |counts: &[[f64; 2]]| counts.iter().map(share).fold(0.0, larger);
     figures.extend([
         Figure::new(
             "mean swamping over the channels",

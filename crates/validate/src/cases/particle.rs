@@ -9,7 +9,7 @@ use crate::error::ValidateError;
 use crate::figure::{Figure, Judgement, Required};
 use crate::outcome::{Outcome, Plot, Series, SeriesKind};
 use crate::run::Run;
-use crate::statistics::rms;
+use crate::statistics::{larger, rms};
 use crate::systems::drifting::numerical_ekf::NumericalEkf;
 use crate::systems::drifting::{building, oscillator};
 use nalgebra::{DMatrix, DVector};
@@ -319,7 +319,7 @@ pub(super) fn drifting_building(run: &Run<'_>) -> Result<Outcome, ValidateError>
         ));
     }
     let coverage = stiffness.iter().map(Track::coverage).sum::<f64>() / STOREYS as f64;
-    let worst = |tracks: &[Track]| tracks.iter().map(Track::error).fold(0.0, f64::max);
+    let worst = |tracks: &[Track]| tracks.iter().map(Track::error).fold(0.0, larger);
     figures.extend([
         Figure::new(
             "share of the stiffnesses inside their 95 % intervals",

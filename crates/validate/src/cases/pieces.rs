@@ -19,7 +19,7 @@ use crate::network::settled;
 use crate::outcome::Outcome;
 use crate::run::Run;
 use crate::scene::{Plan, Scene};
-use crate::statistics::Mean;
+use crate::statistics::{Mean, larger};
 use spandrel_structure::Structure;
 
 const RATE_HZ: f64 = 50.0;
@@ -127,7 +127,7 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         let is_healthy = |node: &usize| BIASED.iter().all(|(biased, _)| biased != node);
         let healthy: Vec<usize> = nodes.filter(is_healthy).collect();
         let largest =
-            |of: &dyn Fn(usize) -> f64| healthy.iter().map(|node| of(*node)).fold(0.0, f64::max);
+            |of: &dyn Fn(usize) -> f64| healthy.iter().map(|node| of(*node)).fold(0.0, larger);
         let biased = BIASED
             .iter()
             .map(|(node, _)| excluded(*node))

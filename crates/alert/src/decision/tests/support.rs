@@ -352,7 +352,7 @@ fn no_new_alert_is_raised_in_the_first_seconds_of_a_jump() {
     let pending = &drive.alerts[0].why;
     assert!(
         pending.ends_with(
-            "the alert will be raised after 0 s; a sudden change is still being followed"
+            "the alert will be raised if this lasts for 0 s; a sudden change is still being followed"
         ),
         "{pending}"
     );
@@ -425,7 +425,7 @@ fn raised_alert_is_revised_when_the_loss_leaves_the_announced_interval() {
     assert_eq!((revised.since_ns, revised.revision), (Some(0), 1));
     assert!((revised.loss.unwrap().loss - 0.2).abs() < 1e-12);
     drive.acknowledge();
-    drive.estimates(40..50, 0.7, SURE);
+    drive.estimates(40..50, 0.775, SURE);
     assert_eq!(drive.states()[2..], [(Seen, 39)]);
     assert_eq!(
         drive.revisions(Seen),
@@ -444,7 +444,7 @@ fn raised_alert_without_a_loss_announces_when_it_will_clear() {
     let why = &drive.alerts.last().unwrap().why;
     assert!(
         why.starts_with("storey-2 has lost 0 % of its")
-            && why.ends_with("; the alert will clear after 10 s"),
+            && why.ends_with("; the alert will clear if this lasts for 10 s"),
         "{why}"
     );
 }

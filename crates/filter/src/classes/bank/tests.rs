@@ -507,6 +507,33 @@ fn sharper_class_gains_the_factor_of_ockham() {
     assert!((sum / records as f64 - expected).abs() < 0.4 && (expected - 4.16).abs() < 0.01);
 }
 
+/// Regression: at rest, noise moved the stiffnesses of all classes, changed the plausibilities and was
+/// calibrated.
+#[test]
+fn frames_that_teach_nothing_change_no_class() {
+    let mut bank = ClassBank::new(System, template(), self_calibrating()).unwrap();
+    let frames = frames(4_500, Some(1), 3_500, 4);
+    run(&mut bank, &frames[..500]);
+    let (mean, covariance) = (
+        bank.parameter_mean().clone(),
+        bank.parameter_covariance().clone(),
+    );
+    let plausibilities = bank.plausibilities().clone();
+    bank.set_teaching(false);
+    assert_eq!(run(&mut bank, &frames[500..3_500]), []);
+    let moved = (bank.parameter_mean() - &mean).amax();
+    let widened = (bank.parameter_covariance() - &covariance).amax();
+    // Taking back a correction rounds.
+    assert!(moved < 1e-9 && widened < 1e-9, "{moved:e} {widened:e}");
+    assert_eq!(
+        bank.plausibilities().logarithms(),
+        plausibilities.logarithms()
+    );
+    bank.set_teaching(true);
+    let events = run(&mut bank, &frames[3_500..]);
+    assert_ne!(events, [], "the loss is calibrated");
+}
+
 #[test]
 fn settings_out_of_range_are_refused() {
     let refused =

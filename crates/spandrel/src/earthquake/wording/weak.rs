@@ -1,6 +1,7 @@
 //! Weak motion in sentences: what was predicted, and what was found.
 
 use super::super::report::{EventReport, ParameterReport};
+use super::percent;
 use spandrel_earthquake::{FEWEST_EVENTS, Interval};
 
 /// An alert, as a sentence.
@@ -39,12 +40,15 @@ pub(super) fn weak_headline(report: &EventReport) -> String {
     let (judged, unjudged): (Vec<_>, Vec<_>) = report
         .parameters
         .iter()
-        .partition(|parameter| is_predicted(parameter));
+        .partition(|parameter| is_predicted(parameter, report));
     match (judged.is_empty(), unjudged.first()) {
         (true, None) => "Weak motion. Nothing is judged, because the structure file has no \
                          [[parameter]] that scales a stiffness."
             .to_owned(),
-        (true, Some(first)) => format!("Weak motion. Nothing is judged: {}.", unpredictable(first)),
+        (true, Some(first)) => format!(
+            "Weak motion. Nothing is judged: {}.",
+            unpredictable(first, report)
+        ),
         (false, None) => {
             "Weak motion, no sign of change: the stiffness is as the earlier events predict."
                 .to_owned()
@@ -57,16 +61,30 @@ pub(super) fn weak_headline(report: &EventReport) -> String {
     }
 }
 
-/// Returns `true` if the weak motion of the record can be compared with a prediction.
-pub(super) fn is_predicted(parameter: &ParameterReport) -> bool {
+/// Returns `true` if the weak motion of the record can be compared with a prediction that reveals twice
+/// the loss of the report.
+pub(super) fn is_predicted(parameter: &ParameterReport, report: &EventReport) -> bool {
     let weak = parameter.judgement.weak;
-    weak.is_some_and(|weak| weak.predicted.is_some())
+    weak.and_then(|weak| weak.predicted)
+        .is_some_and(|predicted| reveals_loss(predicted, report))
+}
+
+fn reveals_loss(predicted: Interval, report: &EventReport) -> bool {
+    let middle = 0.5 * (predicted.low + predicted.high);
+    predicted.low > (1.0 - 2.0 * report.settings.loss) * middle
 }
 
 /// Why the weak motion of a record cannot be compared with a prediction.
-pub(super) fn unpredictable(parameter: &ParameterReport) -> String {
-    if parameter.judgement.weak.is_none() {
+pub(super) fn unpredictable(parameter: &ParameterReport, report: &EventReport) -> String {
+    let Some(weak) = parameter.judgement.weak else {
         return "the record shows no stiffness in weak motion".to_owned();
+    };
+    if let Some(predicted) = weak.predicted {
+        let hidden = percent(2.0 * report.settings.loss);
+        let range = ratios(predicted);
+        return format!(
+            "the earlier events predict {range}, which does not reveal a loss of {hidden}"
+        );
     }
     let found = parameter.judgement.earlier();
     format!(

@@ -22,8 +22,8 @@ impl Level {
     /// Returns the estimate for the structure, including the scatter between the records of
     /// `baseline`.
     ///
-    /// The interval of 95 % is 1.96 deviations on either side. The deviation is infinite if the
-    /// scatter is unknown.
+    /// The interval of 95 % is 1.96 deviations on either side. The deviation is NaN if the
+    /// scatter is unknown, so that no difference counts as small.
     pub(super) fn for_structure(self, baseline: &Baseline, name: &str) -> Self {
         let estimate = ParameterEstimate {
             time_ns: 0,
@@ -32,7 +32,7 @@ impl Level {
         };
         let interval = baseline.for_structure(name, &estimate);
         Self {
-            std: interval.map_or(f64::INFINITY, |interval| {
+            std: interval.map_or(f64::NAN, |interval| {
                 (interval.high - interval.low) / (2.0 * QUANTILE)
             }),
             ..self
