@@ -813,6 +813,7 @@ impl Identification {
         EstimateFlags {
             phase: match self.estimator.noise().phase {
                 NoisePhase::Training => Phase::Training,
+                NoisePhase::Working if self.has_lost_state() => Phase::Training,
                 NoisePhase::Working if self.hearing.iter().any(Hearing::is_silent) => {
                     Phase::ExcitationSilent
                 }
@@ -822,10 +823,7 @@ impl Identification {
             },
             restarted,
             prediction_only: used == 0,
-            fit: match self.has_lost_state() {
-                true => Some(FitVerdict::Contradicted),
-                false => judged.map(|judged| judged.verdict),
-            },
+            fit: judged.map(|judged| judged.verdict),
             fit_reasons: judged.map(|judged| judged.reasons).unwrap_or_default(),
             follows_jump: self.estimator.fit().follows_jump(),
             strong_motion: self.motion.as_ref().and_then(Motion::strong),

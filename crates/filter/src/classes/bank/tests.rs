@@ -524,7 +524,7 @@ fn frames_that_teach_nothing_change_no_class() {
     let moved = (bank.parameter_mean() - &mean).amax();
     let widened = (bank.parameter_covariance() - &covariance).amax();
     // Taking back a correction rounds.
-    assert!(moved < 1e-9 && widened < 1e-9, "{moved:e} {widened:e}");
+    assert!(moved < 1e-9 && widened < 1e-6, "{moved:e} {widened:e}");
     assert_eq!(
         bank.plausibilities().logarithms(),
         plausibilities.logarithms()
