@@ -126,10 +126,11 @@ pub(crate) fn describe(
                 ),
             }
         }
-        AlertState::Raised => format!("{name} has lost {how_much}, {of_rule}{since}{ends}"),
+        // A raised alert needs the required probability only once.
+        AlertState::Raised => format!("{name} has lost {how_much}, {how_sure}{since}{ends}"),
         AlertState::Acknowledged => {
             format!(
-                "{name} has lost {how_much}, {of_rule}{since}{ends}; {}",
+                "{name} has lost {how_much}, {how_sure}{since}{ends}; {}",
                 acknowledged(alert)
             )
         }
