@@ -182,6 +182,13 @@ async fn means_have_the_uncertainty_of_their_kind() {
     let difference = browser.evaluate(difference).await;
     let half = difference["high"].as_f64().unwrap() + 0.5;
     assert!((half - 1.96 * 0.05).abs() < 1e-12, "{difference}");
+    // Regression: of forty equal quantities, two seemed to have changed. 2.5 standard deviations are
+    // clear alone. Among forty quantities, the limit is 3.23.
+    let by_chance = "import('/compare.js').then(({ differenceOf }) => [[2.5, 1], [2.5, 40], [3.2, 40], [3.26, 40], [1.9, 40]].map(([mean, count]) => differenceOf({ mean: 0, std: 0 }, { mean, std: 1 }, count).isByChance))";
+    assert_eq!(
+        browser.evaluate(by_chance).await,
+        json!([false, true, true, false, false])
+    );
 }
 
 /// A part without an alert rule has no decision, and no threshold.

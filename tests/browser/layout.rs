@@ -301,6 +301,12 @@ async fn a_small_part_with_a_probable_loss_is_named_beside_the_drawing() {
         callout("storey-1")
     );
     browser.screenshot("small-parts-light").await;
+    // A name in bold that is wider than the usual one.
+    let widest = format!(
+        "(() => {{ const [name] = {0}.querySelectorAll('text'); name.textContent = 'storey-40'; return name.getBoundingClientRect().left >= document.querySelector('.drawing').getBoundingClientRect().left; }})()",
+        callout("storey-1")
+    );
+    assert_eq!(browser.evaluate(&widest).await, true);
     assert_eq!(browser.evaluate(&inside).await, true, "it is cut off");
     browser.prefer("dark").await;
     browser.screenshot("small-parts-dark").await;
@@ -448,7 +454,8 @@ async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
               const help = makeHelp();
               document.body.append(help.element);
               updateHelp(help, {alerts});
-              const told = [help.element.hidden ? [] : help.element.innerText.split('\\n').filter(Boolean), help.element.querySelector('a:not([hidden])')?.href ?? null];
+              const dialled = help.element.querySelector('a[href^=\"tel:\"]')?.getAttribute('href') ?? null;
+              const told = [help.element.hidden ? [] : help.element.innerText.split('\\n').filter(Boolean), help.element.querySelector('.call > a:not([hidden])')?.href ?? null, dialled];
               help.element.remove();
               return told;
             }})"
@@ -474,13 +481,14 @@ async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
                 "Notified: ada@site.example (2026-10-14 17:46:40 UTC)",
                 "▲ Not notified: hooks.example (2026-10-14 17:47:40 UTC: replied with 503; retrying)",
             ],
-            "https://site.example/alarm"
+            "https://site.example/alarm",
+            "tel:+41441234567"
         ])
     );
     let nothing = browser
         .evaluate(&shown(json!([alert("normal", notices)])))
         .await;
-    assert_eq!(nothing, json!([[], null]));
+    assert_eq!(nothing, json!([[], null, null]));
 }
 
 /// The table of the last minute is sorted by mouse and keyboard, and says how it is sorted.
@@ -540,5 +548,17 @@ async fn sensors_are_sorted_by_the_title_that_is_pressed() {
         );
     }
     browser.screenshot("sensors-sorted").await;
+    // Regression: a phone, which shows no titles, could not sort.
+    browser.resize(390, 844).await;
+    let choose = |order: &str| {
+        format!(
+            "(() => {{ const list = document.querySelector('#levels .sort-by select'); list.value = '{order}'; list.dispatchEvent(new Event('change')); return list.checkVisibility(); }})()"
+        )
+    };
+    assert_eq!(browser.evaluate(&choose("4 descending")).await, true);
+    assert_eq!(browser.evaluate(&is_sorted(-1)).await, true);
+    assert_eq!(browser.evaluate(&choose("")).await, true);
+    assert_eq!(browser.evaluate(names).await, usual);
+    browser.screenshot("sensors-sorted-phone").await;
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }

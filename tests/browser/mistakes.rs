@@ -7,7 +7,7 @@ use serde_json::json;
 /// Waits for the end of a demo, whose data then become stale.
 const ENDED: &str = "document.body.innerText.includes('record has ended')";
 
-/// Regression test: an acknowledged alarm turned into "No data", and its badge vanished. The
+/// Regression test: an acknowledged alarm turned into "No data" when its record ended. The
 /// sentences of normal parts were those of the first decision. The times were in the future.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
@@ -43,16 +43,32 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
     assert_eq!(browser.evaluate(seen).await, 200);
     browser
         .wait(
-            "no data",
-            "document.querySelector('.attention').dataset.level === 'stale'",
+            "a notice",
+            "document.querySelector('.attention').dataset.level === 'notice'",
         )
         .await;
     let badges = "[...document.querySelectorAll('.attention .badge')].filter((one) => !one.hidden).map((one) => one.textContent)";
     assert_eq!(
         browser.evaluate(badges).await,
-        json!(["✕ No data", "● alert acknowledged"])
+        json!(["● Notice", "■ record has ended"])
     );
     browser.screenshot("acknowledged-without-data").await;
+    // Regression: the state of an alarm filled the window of a phone on each tab.
+    let folded = "(() => { const { open, firstChild } = document.querySelector('.attention .more'); return [open, firstChild.checkVisibility()]; })()";
+    assert_eq!(browser.evaluate(folded).await, json!([true, false]));
+    // Regression: after a zoom, the way back was beyond the edge of a phone.
+    let moment = "fetch('/api/structures').then((answer) => answer.json()).then(({ structures }) => (location.hash = `#/structure/demo/parameters?parameter=storey-2&at=${structures[0].time_s - 30}`))";
+    browser.evaluate(moment).await;
+    browser
+        .wait(
+            "a zoomed plot",
+            "document.querySelector('.range-state .back')?.checkVisibility()",
+        )
+        .await;
+    assert_eq!(browser.evaluate(folded).await, json!([false, true]));
+    let back = "(() => { const { left, right } = document.querySelector('.range-state .back').getBoundingClientRect(); return left >= 0 && right <= innerWidth; })()";
+    assert_eq!(browser.evaluate(back).await, true);
+    browser.screenshot("zoomed-phone").await;
     browser.evaluate("location.hash = '#/alerts'").await;
     browser
         .wait(
@@ -472,6 +488,8 @@ async fn sensors_events_and_settings_are_tables() {
     let settings = "document.getElementById('panel-settings').textContent";
     for text in [
         "100 Hz",
+        "Half-life of the memory10 s",
+        "Contactnone",
         "more than 5 %",
         "0.99",
         "Items processed",

@@ -76,6 +76,16 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
             "document.body.innerText.includes('record has ended')",
         )
         .await;
+    // The last event is later than the last sample.
+    browser
+        .wait(
+            "a later event",
+            "document.querySelector('.facts-line').textContent.includes('monitoring: blind')",
+        )
+        .await;
+    let happened = "fetch('/api/structures/demo').then((reply) => reply.json()).then(({ overview, standing }) => [standing.events[0].time_ns / 1e9 > overview.time_s, standing.events.length])";
+    let happened = browser.evaluate(happened).await;
+    assert_eq!(happened[0], true);
     browser
         .evaluate("document.getElementById('nav-report').click()")
         .await;
@@ -120,7 +130,8 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     assert_eq!(sensors.as_array().unwrap().len(), 6);
     let events = browser.evaluate(&rows("No event is known.")).await;
     let events = events.as_array().unwrap();
-    assert!(!events.is_empty());
+    // Regression: the report ended with the last sample, and lacked what happened then.
+    assert!(events.len() as u64 >= happened[1].as_u64().unwrap());
     // Regression: changes of the monitoring were about "watching".
     let of_monitoring = "The monitoring changed from blind to watching";
     let changed = events

@@ -60,7 +60,7 @@ async fn repeated_changes_of_a_part_and_equal_reasons_share_one_entry() {
         .await;
     let alerts = "(async () => {
         const { AlertsPage } = await import('/alerts.js');
-        const [original, change] = [window.fetch, (second, parameter, state) => ({ structure: 'tower', parameter, state, time_ns: 1.6e18 + second * 1e9, since_ns: null, revision: 0, why: `${parameter} is ${state}` })];
+        const [original, change] = [window.fetch, (second, parameter, state) => ({ structure: 'tower', parameter, state, time_ns: 1.6e18 + second * 1e9, changed_ns: 1.6e18 + second * 1e9, acknowledged_ns: null, since_ns: null, revision: 0, why: `${parameter} is ${state}` })];
         const changes = [change(3, 'storey-2', 'raised'), change(2, 'storey-2', 'unconfirmed'), change(1, 'storey-1', 'raised'), change(0, 'storey-2', 'raised')];
         window.fetch = async () => ({ ok: true, json: async () => ({ standing: [], changes }) });
         const page = new AlertsPage({ listen() {} }, new URLSearchParams());
@@ -85,14 +85,38 @@ async fn repeated_changes_of_a_part_and_equal_reasons_share_one_entry() {
     let events = "(async () => {
         const { EventsTab } = await import('/events.js');
         const tab = new EventsTab({ name: 'tower', about: { earthquakes: false, parameters: [] } });
-        const change = (ms, parameter) => ({ parameter, state: 'undecided', time_ns: 1.6e18 + ms * 1e6, why: `${parameter} is undecided: no samples` });
+        const change = (ms, parameter) => ({ parameter, state: 'undecided', time_ns: 1.6e18 + ms * 1e6, changed_ns: 1.6e18 + ms * 1e6, acknowledged_ns: null, why: `${parameter} is undecided: no samples` });
         const unreported = { time_ns: 1.6e18, kind: 'earthquake-unreported', subject: '2026-11-28t00-30-06z', what: 'a report waits', why: 'no space' };
         tab.update({ changes: [change(1500, 'storey-1'), change(400, 'storey-10'), change(300, 'storey-2')], events: [unreported] });
-        return [...tab.rows.children].map((row) => row.children[1].textContent);
+        const of = [...tab.rows.children].map((row) => row.children[1].textContent);
+        // Regression: a revision moved the time of an alert, an acknowledgement had the time of the data, and
+        // an alert without a decision was called normal.
+        const alert = { parameter: 'storey-2', changed_ns: 1.6e18, time_ns: 1.6e18, acknowledged_ns: null, why: 'storey-2' };
+        const seen = { state: 'acknowledged', acknowledged_by: 'Ada', acknowledged_ns: 1.6e18 + 960e9, note: 'on my way', why: 'storey-2; acknowledged by Ada: on my way' };
+        tab.update({ changes: [{ ...alert, ...seen }, { ...alert, state: 'normal' }, { ...alert, state: 'raised', time_ns: 1.6e18 + 200e9 }], events: [] });
+        const cells = [...tab.rows.children].map(({ children: [time, , what] }) => [time.textContent, what.querySelector('strong').textContent, what.lastElementChild.hidden ? '' : what.lastElementChild.textContent]);
+        const link = tab.rows.firstElementChild.querySelector('a.button').hash.split('at=')[1];
+        return [of, cells, link];
       })()";
     assert_eq!(
         browser.evaluate(events).await,
-        json!(["storey-1", "storey-2, storey-10", "earthquake"])
+        json!([
+            ["storey-1", "storey-2, storey-10", "earthquake"],
+            [
+                [
+                    "2020-09-13 12:42:40 UTC",
+                    "● alert acknowledged",
+                    "Acknowledged 2020-09-13 12:42:40 UTC"
+                ],
+                ["2020-09-13 12:26:40 UTC", "✓ back to normal", ""],
+                [
+                    "2020-09-13 12:26:40 UTC",
+                    "▲ alert raised",
+                    "Revised 2020-09-13 12:30:00 UTC"
+                ]
+            ],
+            "1600000000.000"
+        ])
     );
 }
 
@@ -120,13 +144,26 @@ async fn parts_and_sensors_with_trouble_are_first_and_empty_columns_are_hidden()
         const page = { name: 'demo', about, span, points: new Points('demo', span), scale: new Scale(), standing: () => standing, choose() {} };
         standing.sensors.find(({ channel }) => channel === 'floor-4').health = 'silent';
         standing.sensors.forEach((sensor) => { sensor.clock = null; sensor.compared = null; });
+        // Regression: a silent sensor was on time, and the excitation seemed to be unused.
+        standing.sensors.find(({ channel }) => channel === 'ground').health = 'alive';
+        standing.services = [{ service: 'ingest', status: {} }];
+        const heard = new SensorsTab(page);
+        heard.update(standing);
+        const cellsOf = (channel) => [4, 7, 8].map((column) => heard.rows.querySelector(`[data-channel=${channel}]`).children[column].textContent);
+        const [silent, excitation] = ['floor-4', 'ground'].map(cellsOf);
+        // Regression: a part with a less probable loss was before a certain one.
+        const loss = (name, probability_of_loss, loss) => (standing.losses[name] = { ...standing.losses['storey-2'], probability_of_loss, loss });
+        const raised = standing.alerts.find(({ state }) => state === 'raised');
+        standing.alerts = ['storey-2', 'storey-3', 'storey-4'].map((parameter) => ({ ...raised, parameter }));
+        loss('storey-2', 0.91, 0.3), loss('storey-3', 0.99999, 0.1), loss('storey-4', 0.9999, 0.2);
         standing.services = [];
         const [now, sensors] = [new NowTab(page), new SensorsTab(page)];
         for (const tab of [now, sensors]) tab.update(standing);
         const noise = noisePlot({ name: 'sensors', unit: 'm/s2' }, page.points, span).plot;
         const [, mean, , , low] = noise.rows(new Map([['noise/sensors', [[0], [0.04], [0.1]]]]));
         return [
-          now.rows.firstElementChild.firstElementChild.textContent,
+          [...now.rows.children].slice(0, 3).map((row) => row.firstElementChild.textContent),
+          [silent.slice(1), excitation],
           sensors.rows.firstElementChild.firstElementChild.textContent,
           sensors.sorting.heads.filter(({ hidden }) => hidden).length > 0,
           sensors.sorting.heads.filter(({ hidden }) => hidden).every((head) => head !== sensors.sorting.heads[0]),
@@ -137,7 +174,8 @@ async fn parts_and_sensors_with_trouble_are_first_and_empty_columns_are_hidden()
     assert_eq!(
         browser.evaluate(shown).await,
         json!([
-            "storey-2",
+            ["storey-4", "storey-3", "storey-2"],
+            [["–", "–"], ["used as excitation", "✓ on time", "✓ agrees"]],
             "floor-4",
             true,
             true,

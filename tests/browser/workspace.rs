@@ -276,19 +276,36 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
         let show = null;
         const page = new OverviewPage({ listen() {}, on: (_, listener) => { show = listener; return () => {}; } });
         document.getElementById('main').replaceChildren(page.element);
-        show({ structures: Array.from({ length: 500 }, (_, index) => ({ ...one, name: `bridge-${index + 1}`, level: 'undecided', coordinates: { latitude: 47 + index / 250, longitude: 8 + (index % 25) / 10 } })) });
+        show({ structures: Array.from({ length: 500 }, (_, index) => ({ ...one, name: `bridge-${index + 1}`, level: index === 49 ? 'alarm' : 'undecided', coordinates: { latitude: 47 + index / 250, longitude: 8 + (index % 25) / 10 } })) });
         const shown = ['.structure-card', '.site'].map((name) => document.querySelectorAll(name).length);
+        // Regression: among many signs, that of an alarm had no name.
+        const isNameless = document.querySelector('.site[data-name=bridge-50]').classList.contains('is-crowded');
         const search = document.querySelector('.overview .search');
         search.value = 'bridge-50';
         search.dispatchEvent(new Event('input'));
-        return [shown, ...['.structure-card', '.site'].map((name) => [...document.querySelectorAll(name)].map((one) => one.dataset.name).toSorted())];
+        return [shown, isNameless, ...['.structure-card', '.site'].map((name) => [...document.querySelectorAll(name)].map((one) => one.dataset.name).toSorted())];
       })()";
     let found = json!(["bridge-50", "bridge-500"]);
     assert_eq!(
         browser.evaluate(many).await,
-        json!([[500, 500], found, found])
+        json!([[500, 500], false, found, found])
     );
     browser.screenshot("many-structures").await;
+    // Regression: the facts of an alarm had one letter per line and covered each other, and the card
+    // beside it was as tall.
+    let legible = "(() => {
+        const [alarm, other] = ['bridge-50', 'bridge-500'].map((name) => document.querySelector(`.structure-card[data-name=${name}]`));
+        const facts = [...alarm.querySelectorAll('.fact')].filter((one) => one.checkVisibility());
+        const boxes = facts.map((one) => one.getBoundingClientRect());
+        const overlap = (a, b) => a !== b && a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+        return [facts.length, boxes.filter(({ width }) => width < 100).length, boxes.filter((one) => boxes.some((two) => overlap(one, two))).length, facts.filter(({ lastChild: { scrollWidth, clientWidth } }) => scrollWidth > clientWidth).length, other.offsetHeight < alarm.offsetHeight];
+      })()";
+    let expected = json!([5, 0, 0, 0, true]);
+    assert_eq!(browser.evaluate(legible).await, expected);
+    browser.resize(390, 844).await;
+    assert_eq!(browser.evaluate(legible).await, expected, "on a phone");
+    browser.screenshot("many-structures-phone").await;
+    browser.resize(1280, 900).await;
     // Regression test: the order was bridge-1, bridge-10, bridge-100.
     let order = "(async () => {
         const { OverviewPage } = await import('/overview.js');

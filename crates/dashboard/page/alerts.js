@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setAttribute, setText } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, levelOf, natural, place, setSentence, time, withMinus } from "./words.js";
+import { SERVICES, STATES, canBeSeen, changedAt, levelOf, natural, place, revisedWords, seenWords, setSentence, time, withMinus } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement. */
 const NAME_KEY = "spandrel-name";
@@ -10,6 +10,8 @@ const NAME_KEY = "spandrel-name";
 const ANSWER_WITHIN_MS = 6000;
 /** Interval at which the list is fetched (ms). A raised alert fetches it immediately. */
 const ASK_EVERY_MS = 2000;
+/** A telephone number in a contact, with at least seven digits. */
+const TELEPHONE = /\+?\d(?:[ ()/-]*\d){6,}/;
 
 export class AlertsPage {
   constructor(connection, parameters) {
@@ -30,7 +32,7 @@ export class AlertsPage {
       h("h2", {}, t("now")),
       this.none,
       this.standing.elements,
-      h("h2", {}, t("changes-since-the-dashboard-was-started")),
+      h("h2", {}, t("past-changes")),
       this.noChanges,
       this.changes.elements,
       this.dialog.element,
@@ -69,11 +71,11 @@ export class AlertsPage {
       (!this.structure.value || alert.structure === this.structure.value) &&
       (!this.state.value || alert.state === this.state.value) &&
       (!this.text.value || `${alert.parameter} ${alert.why} ${alert.acknowledged_by ?? ""} ${alert.note ?? ""}`.toLowerCase().includes(this.text.value.toLowerCase()));
-    const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.time_ns - a.time_ns || natural(a.parameter, b.parameter));
+    const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.changed_ns - a.changed_ns || natural(a.parameter, b.parameter));
     const changes = this.answer.changes.filter(isAsked).slice(0, 200);
     const isFiltered = Boolean(this.structure.value || this.state.value || this.text.value);
     const hasAlert = this.standing.show(standing, (alert) => `${alert.structure}/${alert.parameter}`, isFiltered);
-    const hasChange = this.changes.show(changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.revision > 0 ? `${alert.since_ns} revised` : alert.time_ns}/${alert.state}`, isFiltered);
+    const hasChange = this.changes.show(changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.changed_ns}/${alert.state}`, isFiltered);
     this.none.hidden = hasAlert;
     setText(this.none, isFiltered ? t("no-alert-matches-the-filter") : standing.length > 0 ? t("no-alert") : t("no-rule-has-reached-a-decision-yet"));
     this.noChanges.hidden = hasChange;
@@ -124,15 +126,15 @@ class AlertList {
     updateAlert(newest, changes[0]);
     const first = changes.at(-1);
     folded.hidden = changes.length === 1;
-    const [word, since] = [STATES[first.state].word, time(first.time_ns / 1e9)];
+    const [word, since] = [STATES[first.state].word, time(changedAt(first))];
     setText(title, changes.length === 2 ? t("changed-once", word, since) : t("changed-times", word, since, changes.length - 1));
     keyed(list, changes.slice(1), key, () => this.#make(), updateAlert);
   }
 
   #make() {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")), help: makeHelp() };
-    parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }, t("acknowledge")) : null;
-    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, parts.help.element, h("div", { class: "actions" }, parts.button, parts.link));
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")), help: makeHelp() };
+    parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }) : null;
+    parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, parts.revised, parts.help.element, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
   }
 }
@@ -150,7 +152,7 @@ export function updateHelp(parts, alerts) {
   const needed = alerts.filter(({ state }) => !ROUTINE.includes(state));
   const { contact, runbook } = needed[0] ?? {};
   parts.call.hidden = !contact && !runbook;
-  setText(parts.contact, contact ? t("contact", contact) : "");
+  showContact(parts.contact, contact ? t("contact", contact) : "");
   parts.runbook.hidden = !runbook;
   setAttribute(parts.runbook, "href", runbook ?? null);
   const notices = grouped(needed.flatMap(({ notices }) => notices ?? []).sort((a, b) => b.time_ns - a.time_ns), ({ receiver }) => receiver).map(([newest]) => newest);
@@ -164,6 +166,20 @@ export function updateHelp(parts, alerts) {
   parts.element.hidden = [parts.call, parts.sent, parts.failed].every(({ hidden }) => hidden);
 }
 
+/** Shows a contact. Its telephone number is a link, so that a phone can dial it. */
+function showContact(element, text) {
+  if (element.textContent === text) return;
+  const { 0: number, index } = TELEPHONE.exec(text) ?? { 0: "", index: text.length };
+  const link = number ? h("a", { href: `tel:${number.replaceAll(/[^+\d]/g, "")}` }, number) : "";
+  element.replaceChildren(text.slice(0, index), link, text.slice(index + number.length));
+}
+
+/** Shows what the button of an alert does. An alert that is over is no alarm. */
+export function labelButton(button, { state }, text = t("acknowledge"), textOfCleared = t("mark-as-seen")) {
+  button.classList.toggle("is-over", state === "cleared");
+  setText(button, state === "cleared" ? textOfCleared : text);
+}
+
 function updateAlert(parts, alert) {
   const state = STATES[alert.state];
   parts.alert = alert;
@@ -173,16 +189,21 @@ function updateAlert(parts, alert) {
   setText(parts.who, `${alert.structure} / ${alert.parameter}`);
   // The sentence of a normal parameter is as old as its first decision.
   const isNormal = alert.state === "normal" && alert.now;
-  setSentence(parts.why, isNormal ? `${alert.parameter} is normal by the newest value: ${alert.now}` : alert.why);
+  setAttribute(parts.why, "lang", isNormal ? null : SERVICES);
+  setSentence(parts.why, isNormal ? t("is-normal-by-the-newest-value", alert.parameter, alert.now) : alert.why);
   parts.now.hidden = !alert.now || isNormal;
   setText(parts.now, alert.now ? t("by-the-newest-value", withMinus(alert.now)) : "");
-  setText(parts.when, time(alert.time_ns / 1e9));
-  setText(parts.seen, alert.acknowledged_by ? t("alert-seen-by", alert.acknowledged_by, alert.note ? `: ${alert.note}` : "") : "");
-  parts.seen.hidden = !alert.acknowledged_by;
+  setText(parts.when, time(changedAt(alert)));
+  for (const [line, text] of [[parts.seen, seenWords(alert)], [parts.revised, revisedWords(alert)]]) {
+    setText(line, text);
+    line.hidden = !text;
+  }
   updateHelp(parts.help, [alert]);
-  parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.time_ns) / 1e9);
+  parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.changed_ns) / 1e9);
   parts.link.parentElement.hidden = ROUTINE.includes(alert.state);
-  if (parts.button) parts.button.hidden = !canBeSeen(alert);
+  if (!parts.button) return;
+  parts.button.hidden = !canBeSeen(alert);
+  labelButton(parts.button, alert);
 }
 
 /**
@@ -196,7 +217,7 @@ export class AcknowledgeDialog {
     this.who = h("input", { id: "who", name: "who", required: true, maxlength: 100, autocomplete: "name" });
     this.note = h("textarea", { id: "note", name: "note", rows: 3, maxlength: 1000 });
     this.told = h("p", { class: "told", role: "status" });
-    this.send = h("button", { type: "submit", class: "acknowledge" }, t("acknowledge"));
+    this.send = h("button", { type: "submit", class: "acknowledge" });
     this.element = h(
       "dialog",
       { "aria-label": t("acknowledge-an-alert") },
@@ -210,13 +231,14 @@ export class AcknowledgeDialog {
         h("label", { for: "note" }, t("note-optional")),
         this.note,
         this.told,
-        h("div", { class: "actions" }, this.send, h("button", { type: "button", onclick: () => this.element.close() }, t("close"))),
+        h("div", { class: "actions" }, this.send, h("button", { type: "button", onclick: () => this.element.close() }, t("cancel"))),
       ),
     );
   }
 
   open(alert) {
     this.alert = alert;
+    labelButton(this.send, alert);
     setText(this.title, t("acknowledge-part-of", alert.structure, alert.parameter));
     setSentence(this.why, alert.why);
     setText(this.told, t("others-will-see-that-the-alert-is"));

@@ -67,6 +67,16 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
   const x = (time) => ROOM.left + ((time - from_s) / (to_s - from_s)) * inside;
   const y = (value) => Math.min(Math.max(bottom - ((value - range[0]) / (range[1] - range[0])) * (bottom - top), top), bottom);
   const point = (time, value) => `${x(time).toFixed(1)} ${y(value).toFixed(1)}`;
+  /** Returns the end of the threshold for its words: the left one, unless only the right one is free of the curve. */
+  const boundPlace = () => {
+    const wide = CHARACTER * bound.text.length + 6;
+    const isCrossed = (from, to) => {
+      const heights = times.flatMap((time, row) => (means[row] !== null && x(time) >= from && x(time) <= to ? [y(means[row])] : []));
+      return Math.min(...heights) < y(bound.y) + BOUND_BELOW + 3 && Math.max(...heights) > y(bound.y);
+    };
+    const end = WIDTH - ROOM.right;
+    return isCrossed(ROOM.left, ROOM.left + wide) && !isCrossed(end - wide, end) ? { x: end - 3, "text-anchor": "end" } : { x: ROOM.left + 3 };
+  };
   const svg = s("svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": label });
   for (const { value, text } of roundValues(range)) {
     svg.append(s("line", { class: "grid", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(value), y2: y(value) }), s("text", { class: "value", x: ROOM.left - 4, y: y(value) + 3 }, text));
@@ -84,7 +94,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
     }
     if (hasPoints) rows.forEach((row) => svg.append(s("circle", { class: "dot", cx: x(times[row]), cy: y(means[row]), r: 1.6 })));
   }
-  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", x: ROOM.left + 3, y: y(bound.y) + BOUND_BELOW }, bound.text));
+  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", ...boundPlace(), y: y(bound.y) + BOUND_BELOW }, bound.text));
   for (const { at, row, text, from, colour } of told) {
     const line = s("line", { class: "moment", x1: ROOM.left + at, x2: ROOM.left + at, y1: row < 0 ? top : top - (row + 1) * ROW + 2, y2: bottom });
     line.style.stroke = `var(${colour})`;

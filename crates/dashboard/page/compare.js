@@ -4,7 +4,8 @@
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { Plot, css, look, padded } from "./plot.js";
-import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfField } from "./words.js";
+import { Scale } from "./span.js";
+import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfField, zone } from "./words.js";
 import { Extent } from "./year.js";
 
 /** Number of points of each series and range. */
@@ -48,12 +49,28 @@ export function meanOf([, values, stds], areIndependent) {
   return { mean, std: Math.max(stated, scatter), count };
 }
 
-/** Returns the difference of two means with its 95 % interval, or null without both. */
-export function differenceOf(first, second) {
+/**
+ * Returns the difference of two means with its 95 % interval, or null without both.
+ *
+ * One in twenty equal quantities is outside its interval. `isByChance` states that the interval excludes 0,
+ * but that the difference is not larger than expected of one in `count` quantities (Bonferroni).
+ */
+export function differenceOf(first, second, count = 1) {
   if (!first || !second) return null;
   const difference = second.mean - first.mean;
-  const half = HALF_95 * Math.hypot(first.std, second.std);
-  return { difference, low: difference - half, high: difference + half };
+  const std = Math.hypot(first.std, second.std);
+  const size = Math.abs(difference);
+  return { difference, low: difference - HALF_95 * std, high: difference + HALF_95 * std, isByChance: size > HALF_95 * std && size <= quantile(0.05 / count) * std };
+}
+
+/**
+ * Returns how many standard deviations a Gaussian exceeds on either side with a small probability.
+ *
+ * Source: Abramowitz & Stegun (1964), equation (26.2.23); error below 4.5e-4.
+ */
+function quantile(probability) {
+  const t = Math.sqrt(-2 * Math.log(probability / 2));
+  return t - (2.515517 + t * (0.802853 + t * 0.010328)) / (1 + t * (1.432788 + t * (0.189269 + t * 0.001308)));
 }
 
 /** Returns the columns on other times, by linear interpolation. Values in gaps are null. */
@@ -134,18 +151,21 @@ export class CompareTab {
   /** Name of the quantity whose plot is shown, if not all are. */
   chosen = null;
   plots = [];
+  /** Shared range of the stiffnesses, so that a small difference does not look like a large one. */
+  #scale = new Scale();
 
   constructor(page) {
     this.page = page;
     const { parameters, modes } = page.about;
     this.quantities = [
-      ...parameters.map(({ name, stiffness }) => ({ name, series: `parameter/${name}`, unit: "", axis: stiffness ? AXES.stiffness : AXES.ratio, areIndependent: false })),
+      ...parameters.map(({ name, stiffness }) => ({ name, series: `parameter/${name}`, unit: "", isStiffness: stiffness, axis: stiffness ? AXES.stiffness : AXES.ratio, areIndependent: false })),
       ...modes.map(({ name }) => ({ name, series: `mode/${name}`, unit: "Hz", axis: t("natural-frequency-hz"), areIndependent: true })),
     ];
     this.points = new TwoRanges(page.name);
     this.points.extent.onchange(() => this.#redraw());
     this.fields = KEYS.map((key) => ({ from: h("input", { id: `${key}-from`, required: true }), to: h("input", { id: `${key}-to`, required: true }) }));
-    const range = (key, index) => h("fieldset", {}, h("legend", {}, h("span", { class: `swatch-line is-${key}`, "aria-hidden": "true" }), NAMES[index]), h("label", { for: `${key}-from` }, t("from")), this.fields[index].from, h("label", { for: `${key}-to` }, t("to")), this.fields[index].to);
+    this.zones = KEYS.map(() => h("span"));
+    const range = (key, index) => h("fieldset", {}, h("legend", {}, h("span", { class: `swatch-line is-${key}`, "aria-hidden": "true" }), NAMES[index]), h("label", { for: `${key}-from` }, t("from")), this.fields[index].from, h("label", { for: `${key}-to` }, t("to")), this.fields[index].to, this.zones[index]);
     this.told = h("p", { class: "told", role: "status" });
     this.usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.#newest(length_s)) }, text));
     this.form = h("form", { class: "two-ranges", onsubmit: (event) => this.#submit(event) }, KEYS.map(range), h("div", { class: "ranges" }, h("button", { type: "submit", class: "main" }, t("compare")), h("button", { type: "button", onclick: () => this.#showHalves() }, t("halves-of-the-shown-span")), this.usual), this.told);
@@ -159,6 +179,12 @@ export class CompareTab {
     const words = t("the-interval-covers-the-errors-of-the");
     this.element = h("section", { class: "group", id: "group-compare" }, h("h2", { class: "sr-only" }, t("comparison")), h("section", { class: "card" }, this.form), h("section", { class: "card" }, this.sentence, this.lengths, this.table, h("p", { class: "group-text" }, words)), h("div", { class: "tools" }, this.all), this.holder);
     this.#build(this.quantities.length <= MOST_PLOTS ? this.quantities : []);
+  }
+
+  /** Draws the plots again when their shared range has changed. */
+  draw() {
+    if (this.#scale.hasChanged) this.plots.forEach((plot) => plot.dirty());
+    this.#scale.hasChanged = false;
   }
 
   /** What the address states besides the tab. */
@@ -221,6 +247,7 @@ export class CompareTab {
         field.value = isRecord ? String(Number(range[`${end}_s`].toFixed(3))) : fieldOf(range[`${end}_s`]);
       }
     });
+    this.zones.forEach((element, index) => setText(element, isRecord ? "s" : zone(ranges[index].to_s)));
     this.usual.forEach((button) => (button.hidden = isRecord));
     this.points.extent.live();
     this.#load();
@@ -250,14 +277,17 @@ export class CompareTab {
   #show() {
     const words = ({ from_s, to_s }, index) => t("range-words", NAMES[index], time(from_s), time(to_s), duration(to_s - from_s));
     setSentence(this.lengths, this.points.ranges.map(words).join(" "));
-    const results = this.quantities.map((quantity) => {
-      const [first, second] = this.points.columns(quantity.series).map((columns) => meanOf(columns, quantity.areIndependent));
-      return { ...quantity, first, second, change: differenceOf(first, second) };
-    });
+    const means = this.quantities.map((quantity) => this.points.columns(quantity.series).map((columns) => meanOf(columns, quantity.areIndependent)));
+    const known = means.filter((both) => !both.includes(null)).length;
     const isMany = this.quantities.length > MOST_PLOTS;
+    const results = this.quantities.map((quantity, index) => {
+      const [first, second] = means[index];
+      return { ...quantity, first, second, change: differenceOf(first, second, known) };
+    });
+    // Few quantities have the order of the structure file. Of many, the clearest difference is first.
+    if (isMany) results.sort((a, b) => clearness(b) - clearness(a));
     if (isMany) {
-      const clear = results.toSorted((a, b) => clearness(b) - clearness(a))[0];
-      const shown = results.find(({ name }) => name === this.chosen) ?? clear;
+      const shown = results.find(({ name }) => name === this.chosen) ?? results[0];
       if (this.shown !== shown.name) this.#build([shown]);
       this.shown = shown.name;
     }
@@ -285,7 +315,8 @@ export class CompareTab {
 
   #build(quantities) {
     this.plots.forEach((plot) => plot.close());
-    this.plots = quantities.map((quantity) => comparePlot(quantity, this.points));
+    this.#scale = new Scale();
+    this.plots = quantities.map((quantity) => comparePlot(quantity, this.points, (range) => (quantity.isStiffness ? this.#scale.of(quantity.name, range) : range)));
     this.holder.replaceChildren(...this.plots.map(({ element }) => element));
   }
 
@@ -310,7 +341,7 @@ function summary(results) {
   const known = results.filter(({ change }) => change);
   if (known.length === 0) return t("no-quantity-has-data-in-both-ranges");
   const clear = known.filter(({ words }) => words.sentence).sort((a, b) => clearness(b) - clearness(a));
-  if (clear.length === 0) return t("no-difference-is-shown-the-95-per");
+  if (clear.length === 0) return known.some(({ change }) => change.isByChance) ? t("no-difference-beyond-chance", known.length) : t("no-difference-is-shown-the-95-per");
   const named = clear.slice(0, MOST_NAMED).map(({ name, words }) => `${name} ${words.sentence}`);
   const more = clear.length - named.length;
   return `◆ ${named.join("; ")}${more > 0 ? t("and-more", more) : ""}.`;
@@ -321,8 +352,11 @@ function clearness({ change }) {
   return change ? Math.abs(change.difference) / (change.high - change.difference || Infinity) : -1;
 }
 
-/** Creates the plot of one quantity in both ranges, with the 95 % intervals. */
-function comparePlot({ name, series, unit, axis, areIndependent }, points) {
+/**
+ * Creates the plot of one quantity in both ranges, with the 95 % intervals. `shared(range)` returns the
+ * shown range for the range that the quantity needs.
+ */
+function comparePlot({ name, series, unit, axis, areIndependent }, points, shared) {
   const edge = { stroke: "transparent", width: 0 };
   const line = ({ colour, dash }) => ({ stroke: () => css(colour), width: 2, dash, points: { show: areIndependent, size: 5 } });
   const told = (data, at, column) => (data[column][at] == null ? "–" : comparedValue(data[column][at], unit));
@@ -350,7 +384,7 @@ function comparePlot({ name, series, unit, axis, areIndependent }, points) {
         // The wide intervals of the first seconds would flatten the rest.
         const lows = [3, 5].flatMap((column) => seen(column).at(Math.round(0.05 * (seen(column).length - 1))) ?? []);
         const highs = [4, 6].flatMap((column) => seen(column).at(Math.round(0.95 * (seen(column).length - 1))) ?? []);
-        return lows.length > 0 ? padded(u, Math.min(...lows), Math.max(...highs)) : [0, 1];
+        return shared(lows.length > 0 ? padded(u, Math.min(...lows), Math.max(...highs)) : null) ?? [0, 1];
       },
       // The ranges can end at different times.
       newest: ([times, first, second]) => times.findLastIndex((_, row) => first[row] != null && second[row] != null),

@@ -27,6 +27,8 @@ const ROOM = 42;
 const BELOW = 26;
 /** Width of a character of a name, and height of a name. */
 const CHARACTER = 7;
+/** Width of a character of a bold name, as beside a part with a probable loss. */
+const BOLD_CHARACTER = 8.2;
 const NAME_HEIGHT = 14;
 /** Size of the sign of a sensor. */
 const SIGN = 12;
@@ -142,9 +144,9 @@ export class Drawing {
     this.svg.setAttribute("viewBox", `0 0 ${WIDTH} ${bottom + BELOW}`);
     const abreast = Math.max(0, ...points.map((_, point) => sensors.filter((sensor) => sensor.point === point).length));
     // The storeys are as wide as the names on both sides permit.
-    const longest = (texts) => Math.max(0, ...texts.map((text) => text.length)) * CHARACTER;
-    const left = Math.max(LEAST_SIDE, longest(members.filter(({ parameters }) => parameters.length > 0).map(({ parts }) => parts[0])) + CALLOUT_FROM + 4);
-    const beside = storey >= NAMED_FROM ? longest(points.map((_, point) => sensors.filter((sensor) => sensor.point === point).map(({ channel }) => channel).join(", "))) : 0;
+    const longest = (texts, character) => Math.max(0, ...texts.map((text) => text.length)) * character;
+    const left = Math.max(LEAST_SIDE, longest(members.filter(({ parameters }) => parameters.length > 0).map(({ parts }) => parts[0]), BOLD_CHARACTER) + CALLOUT_FROM + 4);
+    const beside = storey >= NAMED_FROM ? longest(points.map((_, point) => sensors.filter((sensor) => sensor.point === point).map(({ channel }) => channel).join(", ")), CHARACTER) : 0;
     const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
     const isSmall = (member) => group(member).length * storey < NAMED_FROM;
     const side = members.some((member) => member.parameters.length > 0 && isSmall(member)) ? CALLOUT_SIDE : LEAST_SIDE;

@@ -3,7 +3,7 @@
 import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { samplesExport } from "./samples.js";
-import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, natural, place, setSentence, time } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, natural, place, revisedWords, seenWords, setSentence, time } from "./words.js";
 
 /** Kinds of events that the list can be limited to. */
 const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
@@ -22,7 +22,7 @@ export class EventsTab {
     this.rows = h("tbody");
     const option = ([value, text]) => h("option", { value }, text);
     this.shown = h("select", { "aria-label": t("shown-events"), onchange: () => this.#changed() }, Object.entries(KINDS).map(option));
-    this.none = h("p", { class: "group-text" }, t("none-since-the-dashboard-was-started"));
+    this.none = h("p", { class: "group-text" }, t("no-event-is-known"));
     const heads = h("tr", {}, COLUMNS.events.map((text) => (text ? h("th", { scope: "col" }, text) : h("td"))));
     this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("events") }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
     // The list is a page of its own, which prints well.
@@ -34,7 +34,9 @@ export class EventsTab {
     const ofAlert = ([change, ...others]) => {
       const { sign, word, level } = STATES[change.state];
       const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
-      return { key: `${about}/${change.state}`, time_ns: change.time_ns, about, what: t("alert-became", sign, word), why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
+      const what = change.state === "normal" ? t("back-to-normal", sign) : t("alert-became", sign, word);
+      const more = [seenWords(change), revisedWords(change)].filter(Boolean).join(". ");
+      return { key: `${about}/${change.state}`, time_ns: 1e9 * changedAt(change), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => {
       const isReport = kind === "earthquake-report";
@@ -42,14 +44,18 @@ export class EventsTab {
       return { key: `${subject}/${what}`, time_ns, what, ...eventWords({ kind, subject, why }), level, parameter: null, report: isReport ? subject : null };
     };
     // A sensor that fails makes many parts undecided at once, for the same reason.
-    const reason = ({ parameter, state, time_ns, why }) => (state === "undecided" ? `${Math.floor(time_ns / 1e9)} ${why.replaceAll(parameter, "")}` : `${time_ns} ${parameter} ${state}`);
+    const reason = ({ parameter, state, changed_ns: at, why }) => (state === "undecided" ? `${Math.floor(at / 1e9)} ${why.replaceAll(parameter, "")}` : `${at} ${parameter} ${state}`);
     const together = grouped(changes, reason);
     const all = [...together.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
     const shown = all.filter((event) => isOfKind(event, this.shown.value));
     this.none.hidden = shown.length > 0;
-    setText(this.none, all.length > 0 ? t("no-event-of-this-kind") : t("none-since-the-dashboard-was-started"));
+    setText(this.none, all.length > 0 ? t("no-event-of-this-kind") : t("no-event-is-known"));
     this.table.hidden = shown.length === 0;
-    keyed(this.rows, shown, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why }, event) => setSentence(why, event.why));
+    keyed(this.rows, shown, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why, more }, event) => {
+      setSentence(why, event.why);
+      setText(more, event.more ?? "");
+      more.hidden = !event.more;
+    });
   }
 
   /** What only this tab states in the address. */
@@ -67,16 +73,17 @@ export class EventsTab {
     this.page.changed();
   }
 
-  #make({ time_ns, about, what, level, parameter, report: made }) {
-    const at = time_ns / 1e9;
-    const why = h("p", { class: "why", lang: SERVICES });
+  #make({ time_ns, measured_ns: measured, about, what, level, parameter, report: made }) {
+    // The plots and the samples have the measurement time, also of an acknowledgement.
+    const at = (measured ?? time_ns) / 1e9;
+    const [why, more] = [h("p", { class: "why", lang: SERVICES }), h("p", { class: "why" })];
     const read = made ? h("a", { class: "button small", href: report(this.page.name, made) }, t("report")) : null;
     const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": t("show-at", about, time(at)) }, t("show"));
     const around = () => [at - AROUND_S, at + AROUND_S];
     const samples = h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(this.page.name, around, `${about}, ${time(at)}`));
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, parameter ? what : capitalised(what));
-    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(at))), h("td", {}, about), h("td", {}, name, why), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why };
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(time_ns / 1e9))), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why, more };
   }
 }
 

@@ -21,6 +21,8 @@ const GRID = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 const GRID_FROM = 110;
 /** Screens on which the map is folded at first. */
 const NARROW = "(max-width: 760px)";
+/** Levels whose structures always have a name, also above the signs of others. */
+const NAMED = ["alarm", "stale", "warning"];
 
 export class StructureMap {
   #known = "";
@@ -111,16 +113,21 @@ function grid({ west, middle, squeeze, scale, height, x, y }, width) {
   return [s("g", { class: "graticule", "aria-hidden": "true" }, ...parts), ...(length > 0 ? [s("g", { class: "graticule", "aria-hidden": "true" }, bar, s("text", { x: from + length / 2, y: height - 18, "text-anchor": "middle" }, told))] : [])];
 }
 
-/** Returns a place for the name of each structure: right, left, above or below its sign, or null. */
+/**
+ * Returns a place for the name of each structure: right, left, above or below its sign, or null without
+ * room. The sites are in the order of their urgency.
+ */
 function placeNames(sites, width) {
-  const taken = sites.map(({ x, y }) => ({ left: x - RADIUS, right: x + RADIUS, top: y - RADIUS, bottom: y + RADIUS }));
+  const signs = sites.map(({ x, y }) => ({ left: x - RADIUS, right: x + RADIUS, top: y - RADIUS, bottom: y + RADIUS }));
+  const names = [];
   return sites.map(({ x, y, structure }) => {
     const length = CHARACTER * structure.name.length;
     const at = (left, top) => ({ left, right: left + length, top, bottom: top + NAME });
     const choices = [at(x + RADIUS + 4, y - NAME / 2), at(x - RADIUS - 4 - length, y - NAME / 2), at(x - length / 2, y - RADIUS - NAME - 2), at(x - length / 2, y + RADIUS + 2)];
-    const isFree = (box) => box.left >= 0 && box.right <= width && taken.every((other) => box.left >= other.right || box.right <= other.left || box.top >= other.bottom || box.bottom <= other.top);
-    const box = choices.find(isFree) ?? null;
-    if (box) taken.push(box);
+    const isFree = (box, taken) => box.left >= 0 && box.right <= width && taken.every((other) => box.left >= other.right || box.right <= other.left || box.top >= other.bottom || box.bottom <= other.top);
+    const free = choices.find((box) => isFree(box, [...signs, ...names]));
+    const box = free ?? (NAMED.includes(structure.level) ? choices.find((box) => isFree(box, names)) : null) ?? null;
+    if (box) names.push(box);
     return box;
   });
 }

@@ -4,12 +4,15 @@ import { h, setText } from "./dom.js";
 import { PlotGroup } from "./groups.js";
 import { t } from "./language.js";
 import { classPlot, consistencyPlot, innovationPlot, noisePlot } from "./plots.js";
+import { Scale } from "./span.js";
 import { FITS, SERVICES, setSentence, wordOf } from "./words.js";
 
 export class ModelTab {
   key = "model";
   hasSpan = true;
   #classes = [];
+  /** Shared ranges of the innovations of the sensors with one unit. */
+  #scales = new Map();
 
   constructor(page) {
     this.page = page;
@@ -38,7 +41,7 @@ export class ModelTab {
     for (const name of series) {
       const [kind, of] = [name.slice(0, name.indexOf("/")), name.slice(name.indexOf("/") + 1)];
       const sensor = kind === "innovation" ? about.drawing.sensors.find((sensor) => sensor.channel === of) : null;
-      if (sensor) this.groups.innovations.add(of, () => innovationPlot(sensor, points, span));
+      if (sensor) this.groups.innovations.add(of, () => innovationPlot(sensor, points, span, this.#shared(sensor)));
       if (kind === "consistency") this.groups.agreement.add(of, () => consistencyPlot(points, span));
       if (kind !== "class" || this.#classes.includes(of)) continue;
       this.#classes.push(of);
@@ -46,6 +49,19 @@ export class ModelTab {
       this.groups.classes.drop("all");
       this.groups.classes.add("all", () => classPlot([...this.#classes], points, span));
     }
+  }
+
+  /** Draws the innovations again when their shared range has changed. */
+  draw() {
+    for (const scale of this.#scales.values()) {
+      if (scale.hasChanged) this.groups.innovations.plots.forEach((plot) => plot.dirty());
+      scale.hasChanged = false;
+    }
+  }
+
+  #shared({ channel, unit }) {
+    if (!this.#scales.has(unit)) this.#scales.set(unit, new Scale());
+    return (range) => this.#scales.get(unit).of(channel, range);
   }
 
   update({ fit }) {

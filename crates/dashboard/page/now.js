@@ -6,7 +6,7 @@ import { PlotGroup } from "./groups.js";
 import { t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
+import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -55,13 +55,16 @@ export class NowTab {
     return [...(this.#worst ? [this.#worst.plot] : []), ...this.frequencies.plots];
   }
 
-  /** Shows the plot of the part with the highest probability of loss, or without a filter the softest one. */
-  attend({ worst }) {
+  /**
+   * Shows the plot of the part in the sentence, or else of the one with the highest probability of loss, or
+   * without a filter of the softest one.
+   */
+  attend({ part, worst }) {
     const { about, standing, points, span } = this.page;
     const mean = ({ name }) => standing()?.parameters[name]?.mean ?? Infinity;
     const softest = about.is_filtered ? null : about.parameters.filter(({ stiffness }) => stiffness).sort((a, b) => mean(a) - mean(b))[0];
     // Among sound parts the order changes constantly and means nothing.
-    const name = worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (softest?.name ?? this.#worst?.name ?? about.parameters[0]?.name);
+    const name = part ?? (worst && worst.probability_of_loss >= WORTH_SHOWING ? worst.parameter : (softest?.name ?? this.#worst?.name ?? about.parameters[0]?.name));
     const parameter = about.parameters.find((parameter) => parameter.name === name);
     if (!parameter || this.#worst?.name === name) return;
     this.#worst?.plot.close();
@@ -100,12 +103,15 @@ export class NowTab {
       const element = h("tr", {}, h("th", { scope: "row" }, h("a", { href: place(this.page.name, parameter.name) }, parameter.name)), state, mean, interval, h("td", {}, bar, text));
       return { element, state, mean, interval, text, bar };
     };
-    // Trouble first, otherwise the order of the structure file.
+    // Trouble first, the most severe before the others. Otherwise the order of the structure file, because
+    // the order of sound parts changes constantly and means nothing.
     const rank = ({ name }) => {
       const alert = standing.alerts.find(({ parameter }) => parameter === name);
       return TROUBLE.indexOf(alert ? stateOf(alert).level : "") + 1 || TROUBLE.length + 1;
     };
-    const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name)).sort((a, b) => rank(a) - rank(b));
+    const severity = ({ name }) => ({ probability: standing.losses[name]?.probability_of_loss ?? 0, loss: standing.losses[name]?.loss ?? 0 });
+    const compare = (a, b) => rank(a) - rank(b) || (rank(a) > TROUBLE.length ? 0 : bySeverity(severity(a), severity(b)));
+    const found = this.page.about.parameters.filter(({ name }) => this.search.finds(name)).sort(compare);
     keyed(this.rows, found, (parameter) => parameter.name, make, update);
     this.#showJudgements(standing);
     this.#showModes(standing);

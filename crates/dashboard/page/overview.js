@@ -249,7 +249,7 @@ export function showStale(badge, { age_s, level, ended }) {
 
 /** Returns the age of a structure's data in words. */
 export function age({ age_s, lag_s }) {
-  if (age_s === null) return t("none-since-this-page-was-started");
+  if (age_s === null) return t("no-data-since-the-server-started");
   if (age_s < 1.5 && lag_s > LATE_S) return t("is-behind", duration(lag_s));
   return age_s < 1.5 ? t("new") : t("old", duration(age_s));
 }

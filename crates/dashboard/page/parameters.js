@@ -22,7 +22,9 @@ export class ParametersTab {
     this.own = h("input", { type: "checkbox", onchange: () => this.#rescale() });
     const scale = h("label", { class: "check" }, this.own, t("each-plot-with-its-own-scale"));
     const isMany = parameters.length > MOST_FULL;
-    const words = isMany ? t("line-estimate-band-95-per-cent-interval") : t("line-estimate-bands-50-95-and-99");
+    // A finger cannot select a span by dragging, because it scrolls the page.
+    const drag = matchMedia("(any-pointer: fine)").matches ? ` ${t("drag-across-a-plot")}` : "";
+    const words = isMany ? t("line-estimate-band-95-per-cent-interval") : t("line-estimate-bands-50-95-and-99") + drag;
     const text = h("p", { class: "group-text" }, t("ratio-to-the-design-1-is-as", words));
     this.search = searchField(parameters.length, t("find-a-part"), () => this.smalls.filter((name) => this.search.finds(name)));
     this.smalls = isMany ? new SmallPlots(page, (name) => this.#open(name)) : null;

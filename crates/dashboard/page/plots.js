@@ -45,7 +45,7 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
     const loss = known();
     const bound = loss && parameter.stiffness ? [{ y: threshold(), text: t("threshold-lost", percent(loss.rule_loss, 0)), colour: "--alarm", isBelow: true }] : [];
     const told = changes().toSorted((a, b) => WORDS_FIRST.indexOf(a.state) - WORDS_FIRST.indexOf(b.state));
-    return [...bound, ...told.map((change) => ({ x: change.time_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
+    return [...bound, ...told.map((change) => ({ x: change.changed_ns / 1e9, text: `${STATES[change.state].sign} ${STATES[change.state].word}`, colour: `--${STATES[change.state].level}` }))];
   };
   return new Plot(
     {
@@ -132,8 +132,9 @@ export function noisePlot(level, points, span) {
 
 /**
  * Creates the plot of a channel's innovations, between the minimum and maximum of each interval.
+ * `shared(range)` returns the shown range for the range that the channel needs.
  */
-export function innovationPlot(sensor, points, span) {
+export function innovationPlot(sensor, points, span, shared) {
   const name = `innovation/${sensor.channel}`;
   return new Plot(
     {
@@ -144,6 +145,7 @@ export function innovationPlot(sensor, points, span) {
       rows: (columns) => columns.get(name),
       series: () => [line(1, { width: 1, dash: [] }), line(1, { width: 1, dash: [] })],
       bands: () => [{ series: [2, 1], fill: css("--band-95") }],
+      range: (u, least, largest) => shared(largest === null ? null : padded(u, least, largest)) ?? [0, 1],
       readout: (data, at) => (data[1][at] === null ? t("no-sample-used") : t("range-in-unit", number(data[1][at]), number(data[2][at]), unit(sensor.unit))),
       marks: () => [{ y: 0, text: "" }],
     },

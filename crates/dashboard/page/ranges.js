@@ -3,7 +3,7 @@
 import { h, setText } from "./dom.js";
 import { t } from "./language.js";
 import { LENGTHS } from "./span.js";
-import { duration, fieldOf, isWithoutDate, time, timeOfField } from "./words.js";
+import { duration, fieldOf, isWithoutDate, time, timeOfField, zone } from "./words.js";
 
 export class RangeBar {
   /**
@@ -22,6 +22,7 @@ export class RangeBar {
     this.opener = h("button", { type: "button", class: "free", "aria-expanded": "false", "aria-controls": free, onclick: () => this.#toggle() }, t("from-to"));
     this.from = h("input", { type: "datetime-local", step: 1, id: `${key}-from`, required: true });
     this.to = h("input", { type: "datetime-local", step: 1, id: `${key}-to`, required: true });
+    this.zone = h("span");
     this.told = h("span", { class: "told", role: "status" });
     this.form = h(
       "form",
@@ -30,13 +31,14 @@ export class RangeBar {
       this.from,
       h("label", { for: `${key}-to` }, t("to")),
       this.to,
+      this.zone,
       h("button", { type: "submit" }, t("show")),
       h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, t("csv-of-all-plots")),
       report ? h("a", { class: "button", href: "#", onclick: (event) => (event.currentTarget.href = report()) }, t("report")) : null,
       this.told,
       samples ? h("span", {}, t("samples"), " ", samples) : null,
     );
-    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": t("span-of-all-plots") }, this.buttons.map(({ button }) => button), this.opener, this.zoomed, this.text), this.form);
+    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": t("span-of-all-plots") }, this.buttons.map(({ button }) => button), this.opener), h("div", { class: "range-state" }, this.zoomed, this.text), this.form);
     this.update();
   }
 
@@ -54,6 +56,7 @@ export class RangeBar {
     if (this.form.hidden) return;
     const { min, max } = this.span.shown;
     [this.from.value, this.to.value] = [fieldOf(min), fieldOf(max)];
+    setText(this.zone, zone(max));
     setText(this.told, "");
     this.from.focus();
   }

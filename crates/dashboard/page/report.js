@@ -6,7 +6,7 @@ import { h, setText } from "./dom.js";
 import { eventWords } from "./events.js";
 import { t } from "./language.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, seenWords, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf, zone } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -18,6 +18,8 @@ const USUAL_S = 86400;
 const HALF_95 = 1.96;
 /** Time before the newest data from which a period counts as the present (s). */
 const PRESENT_S = 60;
+/** Rounding of a time in the address (s). */
+const ROUNDING_S = 0.001;
 /** Periods that a button selects (s). */
 const USUAL = [[t("last-hour"), 3600], [t("last-day"), 86400], [t("last-week"), 7 * 86400], [t("last-month"), 30 * 86400]];
 
@@ -33,15 +35,16 @@ export class ReportPage {
     this.from = h("input", { id: "report-from", required: true });
     this.to = h("input", { id: "report-to", required: true });
     this.event = h("select", { id: "report-event", onchange: () => this.#choose(Number(this.event.value) - AROUND_S, Number(this.event.value) + AROUND_S) }, h("option", { value: "" }, t("choose-an-event")));
+    this.zone = h("span");
     this.told = h("p", { class: "told", role: "status" });
     this.print = h("button", { type: "button", class: "main", disabled: true, onclick: () => window.print() }, t("print-or-save-as-pdf"));
-    const usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.newest_s - length_s, this.newest_s) }, text));
+    const usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.end_s - length_s, this.end_s) }, text));
     this.usual = h("div", { class: "ranges", role: "group", "aria-label": t("period") }, usual);
     this.form = h(
       "form",
       { class: "card report-form", hidden: true, onsubmit: (event) => this.#submit(event) },
       h("fieldset", {}, h("legend", {}, t("structures")), this.finder, this.list),
-      h("fieldset", {}, h("legend", {}, t("period")), this.usual, h("div", { class: "free-range" }, h("label", { for: "report-from" }, t("from")), this.from, h("label", { for: "report-to" }, t("to")), this.to, h("button", { type: "submit" }, t("show"))), h("div", { class: "free-range" }, h("label", { for: "report-event" }, t("or-around-an-event")), this.event)),
+      h("fieldset", {}, h("legend", {}, t("period")), this.usual, h("div", { class: "free-range" }, h("label", { for: "report-from" }, t("from")), this.from, h("label", { for: "report-to" }, t("to")), this.to, this.zone, h("button", { type: "submit" }, t("show"))), h("div", { class: "free-range" }, h("label", { for: "report-event" }, t("or-around-an-event")), this.event)),
       this.told,
       h("div", { class: "actions" }, this.print),
     );
@@ -79,14 +82,14 @@ export class ReportPage {
     const urgency = ({ overview }) => Object.keys(LEVELS).indexOf(overview.level);
     const reported = all.map((one) => ({ ...one, changes: changes.filter(({ structure }) => structure === one.about.name) })).sort((a, b) => urgency(a) - urgency(b) || natural(a.about.name, b.about.name));
     const newest = reported.map(({ overview }) => overview.time_s).filter((time) => time !== null);
-    this.newest_s = newest.length > 0 ? Math.max(...newest) : null;
-    if (this.newest_s === null) {
+    this.end_s = newest.length > 0 ? Math.max(...reported.map(endOf)) : null;
+    if (this.end_s === null) {
       this.sheet.dataset.state = "complete";
       return this.sheet.replaceChildren(...empty(t("no-data-yet-there-is-nothing-to")));
     }
     // A record without dates starts at 0.
-    const start = (length_s) => (isWithoutDate(this.newest_s) ? Math.max(0, this.newest_s - length_s) : this.newest_s - length_s);
-    const { from_s, to_s } = this.period && !this.period.length_s ? this.period : { from_s: start(this.period?.length_s ?? USUAL_S), to_s: this.newest_s };
+    const start = (length_s) => (isWithoutDate(this.end_s) ? Math.max(0, this.end_s - length_s) : this.end_s - length_s);
+    const { from_s, to_s } = this.period && !this.period.length_s ? this.period : { from_s: start(this.period?.length_s ?? USUAL_S), to_s: this.end_s };
     this.#fillForm(names, reported, from_s, to_s);
     const series = await Promise.all(reported.map(({ about }) => pointsOf(about, from_s, to_s)));
     if (!this.#isOpen) return;
@@ -114,11 +117,12 @@ export class ReportPage {
       [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
       field.value = isRecord ? String(Number(seconds.toFixed(3))) : fieldOf(seconds);
     }
+    setText(this.zone, isRecord ? "s" : zone(to_s));
     this.isRecord = isRecord;
     this.usual.hidden = isRecord;
     const happened = reported.flatMap(({ about, standing, changes }) => eventsOf(standing, changes).filter(({ isListed }) => isListed).map((event) => ({ ...event, structure: about.name })));
     happened.sort((a, b) => b.time_s - a.time_s);
-    this.event.append(...happened.map(({ time_s, structure, about, what, lang }) => h("option", { value: time_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
+    this.event.append(...happened.map(({ time_s, measured_s, structure, about, what, lang }) => h("option", { value: measured_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
     this.form.hidden = false;
   }
 
@@ -133,7 +137,7 @@ export class ReportPage {
   #choose(from_s, to_s) {
     const names = [...this.list.querySelectorAll("input:checked")].map(({ value }) => value);
     if (names.length === 0) return setText(this.told, t("choose-at-least-one-structure"));
-    location.hash = reportOf(names, from_s, to_s);
+    location.hash = reportOf(names, { from_s, to_s });
   }
 }
 
@@ -162,10 +166,25 @@ async function fetchPoints({ name, parameters, modes, conditions }, from_s, to_s
   return { kept_from_s, found };
 }
 
+/**
+ * Returns the end of the newest period of a structure (s): the newest sample, the newest event, or the
+ * present of live data. An event can have wall-clock time, which says nothing about a replayed record.
+ */
+function endOf({ overview: { time_s: newest, replayed }, standing, changes }) {
+  if (newest === null) return -Infinity;
+  const happened = eventsOf(standing, changes).map(({ measured_s: at }) => at);
+  const isLive = !replayed && !isWithoutDate(newest);
+  return Math.max(newest, ...(isLive ? [...happened, Date.now() / 1000] : happened.filter((at) => at <= newest + PRESENT_S)));
+}
+
 /** Returns the changes of alerts and the events, the oldest first. */
 function eventsOf({ events }, changes) {
-  const ofAlert = ({ parameter, state, time_ns, why, acknowledged_by: who, note }) => ({ time_s: time_ns / 1e9, about: parameter, what: `${STATES[state].sign} ${STATES[state].word}`, why: who ? t("change-seen-by", why, who, note ? `: ${note}` : "") : why, level: STATES[state].level, isListed: LISTED.includes(state) });
-  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
+  const ofAlert = (change) => {
+    const { parameter, state, changed_ns: measured, why } = change;
+    const { sign, word, level } = STATES[state];
+    return { time_s: changedAt(change), measured_s: measured / 1e9, about: parameter, what: `${sign} ${word}`, why: [why, seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
+  };
+  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, measured_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
 }
 
@@ -199,7 +218,7 @@ function head(reported, { from_s, to_s }, shown) {
 /** Everything about one structure. */
 function section({ about, overview, standing, changes }, series, period, shown) {
   if (overview.time_s === null) return h("article", { class: "report-structure is-empty", "data-structure": about.name, "data-level": overview.level }, h("h2", {}, about.name), sentence(h("p", { lang: SERVICES }), overview.sentence));
-  const isWithin = ({ time_s }) => time_s >= period.from_s && time_s <= period.to_s;
+  const isWithin = ({ measured_s: at }) => at >= period.from_s - ROUNDING_S && at <= period.to_s + ROUNDING_S;
   const happened = eventsOf(standing, []).filter(isWithin);
   const all = eventsOf({ events: [] }, changes).filter(isWithin);
   const alerts = all.filter(({ isListed }) => isListed);
@@ -237,7 +256,7 @@ function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
     return { level, words: `${sign} ${word}`, isOpen: isUndecided(alert) };
   }
   // The changes are sorted, the newest first.
-  const last = changes.find(({ parameter, time_ns }) => parameter === name && time_ns / 1e9 <= to_s);
+  const last = changes.find(({ parameter, changed_ns: at }) => parameter === name && at / 1e9 <= to_s);
   return last && !isPresent ? { level: STATES[last.state].level, words: `${STATES[last.state].sign} ${STATES[last.state].word}`, isOpen: isUndecided(last) } : { level: "learning", words: t("no-decision-known") };
 }
 
@@ -269,7 +288,7 @@ function parameterCharts({ parameters }, standing, changes, series, shown) {
   const ranges = drawn.filter(({ parameter, own }) => parameter.stiffness && own).map(({ own }) => own);
   const shared = ranges.length > 0 ? [Math.min(...ranges.map(([low]) => low)), Math.max(...ranges.map(([, high]) => high))] : null;
   const figures = drawn.map(({ parameter, columns, bound, own }) => {
-    const marks = changes.filter(({ parameter: of, state }) => of === parameter.name && LISTED.includes(state)).map(({ state, time_ns }) => ({ x: time_ns / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
+    const marks = changes.filter(({ parameter: of, state }) => of === parameter.name && LISTED.includes(state)).map(({ state, changed_ns: at }) => ({ x: at / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
     return figure(parameter.name, lastOf(columns), own && { columns, ...shown, range: parameter.stiffness ? shared : own, marks, bound, label: t("over-the-period", parameter.name) });
   });
   return h("div", {}, h("p", { class: "group-text" }, t("report-ratio-to-the-design")), h("div", { class: "charts" }, figures));

@@ -15,6 +15,9 @@ import { COLUMNS, HEALTH, HINTS, clockWords, compared, conditionWords, levelWord
 /** Number of sensors above which the plots of outliers are folded away. */
 const FOLDED_ABOVE = 6;
 
+/** States of a sensor without samples, whose clock says nothing. */
+const UNHEARD = ["gone", "silent", "ended", "unknown"];
+
 /** The states of a sensor, in the order of a sorted table. */
 const STATES = Object.keys(HEALTH);
 
@@ -59,11 +62,11 @@ export class SensorsTab {
     const scale = h("label", { class: "check" }, this.own, t("each-plot-with-its-own-scale"));
     const levelText = t("rms-and-peak-are-differences-from-the");
     this.groups.waveforms.holder.before(scale);
-    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), h("p", { class: "group-text" }, levelText), h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
+    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), h("p", { class: "group-text" }, levelText), this.levelSorting.field, h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
     this.element = h(
       "div",
       {},
-      h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), this.search.element), h("p", { class: "group-text" }, rate), h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))),
+      h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), this.search.element), h("p", { class: "group-text" }, rate), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))),
       this.samples,
       Object.values(this.groups).map(({ element }) => element),
     );
@@ -186,10 +189,12 @@ export class SensorsTab {
     const about = this.sensors.get(sensor.channel);
     const health = HEALTH[sensor.health];
     const { relation, fault } = compared(sensor.compared);
-    const { offset, clock } = clockWords(sensor.clock, isReported);
+    const { offset, clock } = clockWords(sensor.clock, isReported && !UNHEARD.includes(sensor.health));
+    const isExcitation = this.page.about.is_filtered && about?.excitation && health.level === "normal";
+    const lastUsed = sensor.last_used_s == null ? (isExcitation ? t("as-excitation") : "–") : time(sensor.last_used_s);
     element.dataset.level = health.level;
     element.dataset.channel = sensor.channel;
-    const texts = [sensor.channel, about ? `${wordOf(about.quantity)}, ${unit(about.unit)}` : "–", sensor.node, `${health.sign} ${health.word}`, sensor.last_used_s == null ? "–" : time(sensor.last_used_s), relation, fault, offset, clock, outlier ? percent(outlier.recent_share) : "–"];
+    const texts = [sensor.channel, about ? `${wordOf(about.quantity)}, ${unit(about.unit)}` : "–", sensor.node, `${health.sign} ${health.word}`, lastUsed, relation, fault, offset, clock, outlier ? percent(outlier.recent_share) : "–"];
     texts.forEach((text, column) => {
       setText(cells[column], text);
       cells[column].classList.toggle("is-none", text === "–");

@@ -1,13 +1,21 @@
 // The tab of the settings in force: the rates and rules of the structure file, and the services.
 
-import { h, keyed, setText } from "./dom.js";
+import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { COLUMNS, count, lag, natural, number, unit } from "./words.js";
+
+/** Maximum number of parameters with one prior that are named. */
+const MOST_NAMED = 8;
 
 /** Returns what identifies the structure. */
 function identification({ is_filtered: isFiltered, has_model: hasModel, distributed }) {
   if (!isFiltered) return hasModel ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only");
   return distributed ? t("by-each-node-combined-by-a-station") : t("in-one-place");
+}
+
+/** Returns the names of few parameters, or the number of many. */
+function listed(parameters) {
+  return parameters.length > MOST_NAMED ? t("many-parameters", parameters.length) : parameters.map(({ name }) => name).join(", ");
 }
 
 export class SettingsTab {
@@ -22,6 +30,9 @@ export class SettingsTab {
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", { "data-head": COLUMNS.rules[column] }, text))));
     const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`]));
     const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
+    // Many parameters have few different priors.
+    const priors = grouped(about.parameters, ({ prior }) => prior.join()).map((equal) => `${equal[0].prior.map(number).join(" ± ")}: ${listed(equal)}`);
+    const noise = about.noise.map(({ name, std, unit: of }) => `${name} ${number(std)} ${unit(of)}`.trim());
     const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
     this.element = h(
       "div",
@@ -39,7 +50,10 @@ export class SettingsTab {
           fact(t("identification"), identification(about)),
           fact(t("parameters"), String(about.parameters.length)),
           fact(t("channels"), String(about.drawing.sensors.length)),
-          about.is_filtered && fact(t("noise-levels"), about.noise.map(({ name }) => name).sort(natural).join(", ") || t("none")),
+          about.is_filtered && fact(t("half-life"), `${number(about.half_life_s)} s`),
+          about.is_filtered && fact(t("priors"), priors.join("; ") || t("none")),
+          about.is_filtered && fact(t("noise-levels"), noise.sort(natural).join(", ") || t("none")),
+          fact(t("whom-to-call"), about.contact || t("none")),
           fact(t("conditions"), about.conditions.map(range).join(", ") || t("none")),
         ),
       ),

@@ -1,6 +1,7 @@
-// Sorts the rows of a table by the column whose title is pressed.
+// Sorts the rows of a table by the column whose title is pressed. A phone shows no titles, but a list.
 
 import { h, setAttribute } from "./dom.js";
+import { t } from "./language.js";
 import { natural } from "./words.js";
 
 /** The next order of a column. Without one, the rows have their usual order. */
@@ -13,9 +14,12 @@ export class Sorting {
   /** `changed()` is called after another column or order is chosen. */
   constructor(titles, hints, changed) {
     this.heads = titles.map((title, column) => {
-      const button = h("button", { type: "button", class: "sort", onclick: () => this.#choose(column, changed) }, title);
+      const button = h("button", { type: "button", class: "sort", onclick: () => this.#choose(column, NEXT.get(column === this.#column ? this.#order : null), changed) }, title);
       return h("th", { scope: "col", title: hints[title] }, button);
     });
+    const options = titles.flatMap((title, column) => ["ascending", "descending"].map((order) => h("option", { value: `${column} ${order}` }, `${title} ${order === "ascending" ? "↑" : "↓"}`)));
+    this.list = h("select", { onchange: () => this.#choose(...this.#listed(), changed) }, h("option", { value: "" }, t("usual-order")), options);
+    this.field = h("label", { class: "sort-by" }, t("sort-by"), " ", this.list);
   }
 
   /**
@@ -31,9 +35,14 @@ export class Sorting {
     return valued.map(({ row }) => row);
   }
 
-  #choose(column, changed) {
-    this.#order = NEXT.get(column === this.#column ? this.#order : null);
-    this.#column = column;
+  #listed() {
+    const [column, order] = this.list.value.split(" ");
+    return [Number(column), order ?? null];
+  }
+
+  #choose(column, order, changed) {
+    [this.#column, this.#order] = [column, order];
+    this.list.value = order === null ? "" : `${column} ${order}`;
     this.heads.forEach((head, index) => setAttribute(head, "aria-sort", index === column ? this.#order : null));
     changed();
   }

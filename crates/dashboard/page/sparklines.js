@@ -11,6 +11,8 @@ const POINTS = 96;
 const REFRESH_MS = 300_000;
 /** Smallest span of values that fills the height, as a ratio to the design. */
 const LEAST_SPAN = 0.05;
+/** Radius of the dot at the newest value (px). */
+const DOT = 2;
 
 export class Sparklines {
   constructor() {
@@ -35,10 +37,10 @@ export class Sparklines {
     const isOld = performance.now() - line.at > REFRESH_MS || line.parameter !== worst?.parameter;
     if (!worst || time_s === null || !line.isSeen || !isOld || document.hidden) return;
     Object.assign(line, { parameter: worst.parameter, at: performance.now() });
-    this.#fetch(canvas, line, time_s - DAY_S).catch(() => (line.at = -Infinity));
+    this.#fetch(canvas, line, { from_s: time_s - DAY_S, to_s: time_s }).catch(() => (line.at = -Infinity));
   }
 
-  async #fetch(canvas, { structure, parameter }, from_s) {
+  async #fetch(canvas, { structure, parameter }, { from_s, to_s }) {
     const query = new URLSearchParams({ series: `parameter/${parameter}`, points: POINTS, from: from_s });
     const response = await fetch(`/api/structures/${encodeURIComponent(structure)}/history?${query}`);
     if (!response.ok) return;
@@ -50,11 +52,12 @@ export class Sparklines {
     const values = rows.map((row) => means[row]);
     canvas.setAttribute("aria-label", t("over-the-last-day-from-to-of", parameter, fixed(Math.min(...values), 3), fixed(Math.max(...values), 3)));
     canvas.title = canvas.getAttribute("aria-label");
-    draw(canvas, rows.map((row) => times[row]), values);
+    draw(canvas, rows.map((row) => (times[row] - from_s) / (to_s - from_s)), values);
   }
 }
 
-function draw(canvas, times, values) {
+/** Draws values at their shares of the day. A dot marks the newest one, so that little data is visible too. */
+function draw(canvas, shares, values) {
   const [width, height, size] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
   [canvas.width, canvas.height] = [width * size, height * size];
   const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -63,7 +66,12 @@ function draw(canvas, times, values) {
   ctx.scale(size, size);
   [ctx.strokeStyle, ctx.lineWidth, ctx.lineJoin] = [css("--line-1"), 1.5, "round"];
   ctx.beginPath();
-  const span = times.at(-1) - times[0] || 1;
-  times.forEach((time, index) => ctx.lineTo(1 + ((time - times[0]) / span) * (width - 2), height - 2 - ((values[index] - low + room) / (high - low + 2 * room)) * (height - 4)));
+  const x = (index) => 1 + Math.min(shares[index], 1) * (width - 2 - DOT);
+  const y = (index) => height - 1 - DOT - ((values[index] - low + room) / (high - low + 2 * room)) * (height - 2 - 2 * DOT);
+  shares.forEach((_, index) => ctx.lineTo(x(index), y(index)));
   ctx.stroke();
+  ctx.beginPath();
+  ctx.arc(x(shares.length - 1), y(shares.length - 1), DOT, 0, 2 * Math.PI);
+  ctx.fillStyle = css("--line-1");
+  ctx.fill();
 }

@@ -103,6 +103,8 @@ export function spectrumPlot(sensor, spectra, shared, modes) {
         return shared([Math.max(10 ** Math.floor(Math.log10(least)), high / 10 ** MOST_DECADES), high]);
       },
       marks: () => modes().map(({ name, frequency }) => ({ x: frequency, text: name, colour: "--line-2" })),
+      // Without a crosshair, the reading is that of the highest density.
+      newest: ([, densities]) => densities.reduce((highest, density, row) => (density > (densities[highest] ?? 0) ? row : highest), 0),
       readout: (data, at) => `${number(data[0][at])} Hz · ${number(data[1][at])} ${of} · ${spectra.words(sensor.channel)}`,
     },
     spectra,

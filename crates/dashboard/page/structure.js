@@ -1,6 +1,6 @@
 // One structure: why it needs attention, and tabs with its parts, sensors, events and settings.
 
-import { AcknowledgeDialog, makeHelp, updateHelp } from "./alerts.js";
+import { AcknowledgeDialog, labelButton, makeHelp, updateHelp } from "./alerts.js";
 import { CompareTab } from "./compare.js";
 import { h, keyed, setText } from "./dom.js";
 import { EventsTab } from "./events.js";
@@ -16,10 +16,12 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { DAY_S, Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, canBeSeen, fitWord, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
+import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, bySeverity, canBeSeen, fitWord, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
+/** Number of alerts whose buttons are always shown. */
+const MOST_BUTTONS = 2;
 
 export class StructurePage {
   #standing = null;
@@ -125,7 +127,7 @@ export class StructurePage {
     if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), t("views-of", this.name), (key) => this.#open(key));
     this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), {
-      report: () => reportOf([this.name], this.span.shown.min, this.span.shown.max),
+      report: () => reportOf([this.name], this.span.isLive ? { length_s: this.span.length_s } : this.span),
       samples: samplesExport(this.name, () => [this.span.shown.min, this.span.shown.max], t("chosen-range")),
     });
     this.body.replaceChildren(h("div", { class: "sticky" }, this.bar.list, this.ranges.element), ...this.bar.panels, this.dialog.element);
@@ -147,11 +149,20 @@ export class StructurePage {
     // Before the plots fetch the past, so that nothing is missing between both.
     this.connection.want(Boolean(this.#current.hasWaveforms));
     this.bar.show(key);
+    this.#foldHead();
     setText(this.printed, ` – ${TABS[key]}`);
     this.ranges.element.hidden = !this.#current.hasSpan;
     this.#current.plots.forEach((plot) => plot.show());
     this.#current.restart?.();
     if (this.#standing) this.#current.update(this.#standing);
+  }
+
+  /** Folds the details of the state away, except beside the parts. The plots of the other tabs need the room. */
+  #foldHead() {
+    const isNow = this.tab === "now";
+    this.head.dataset.tab = this.tab;
+    this.parts.more.open = isNow;
+    this.parts.more.firstChild.hidden = isNow;
   }
 
   #address() {
@@ -172,11 +183,14 @@ export class StructurePage {
     const level = LEVELS[overview.level];
     this.head.dataset.level = overview.level;
     const { sensors } = overview;
-    const raised = (this.#standing?.alerts ?? []).filter(canBeSeen);
+    const severity = ({ credibility: probability, loss }) => ({ probability, loss: loss ?? 0 });
+    const raised = (this.#standing?.alerts ?? []).filter(canBeSeen).sort((a, b) => (a.state === "cleared") - (b.state === "cleared") || bySeverity(severity(a), severity(b)));
     const badge = (name) => h("span", { class: "badge", "data-level": name });
-    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }), help: makeHelp() };
+    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }), others: h("div", { class: "actions" }), othersTitle: h("summary"), help: makeHelp() };
     const { parts } = this;
-    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.actions, parts.help.element, parts.now, parts.also, parts.quakes, parts.facts);
+    parts.folded ??= h("details", { class: "routine" }, parts.othersTitle, parts.others);
+    parts.more ??= h("details", { class: "more", open: true }, h("summary", {}, t("more")), parts.help.element, parts.now, parts.also, parts.quakes, parts.facts);
+    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.actions, parts.folded, parts.more);
     setText(parts.badge, `${level.sign} ${level.word}`);
     setSentence(parts.sentence, overview.sentence);
     showNow(parts.now, overview);
@@ -192,13 +206,18 @@ export class StructurePage {
       // The sentence names only some of many.
       if (text === alive) element.title = sensors.troubled.join(", ");
     });
-    keyed(
-      parts.actions,
-      raised,
-      (alert) => alert.parameter,
-      (alert) => ({ element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(alert) }, t("acknowledge-part", alert.parameter)) }),
-      () => {},
-    );
+    const make = () => {
+      const part = { element: h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(part.alert) }) };
+      return part;
+    };
+    const update = (part, alert) => {
+      part.alert = alert;
+      labelButton(part.element, alert, t("acknowledge-part", alert.parameter), t("mark-part-as-seen", alert.parameter));
+    };
+    keyed(parts.actions, raised.slice(0, MOST_BUTTONS), ({ parameter }) => parameter, make, update);
+    keyed(parts.others, raised.slice(MOST_BUTTONS), ({ parameter }) => parameter, make, update);
+    parts.folded.hidden = raised.length <= MOST_BUTTONS;
+    setText(parts.othersTitle, t("further-alerts", raised.length - MOST_BUTTONS));
     updateHelp(parts.help, this.#standing?.alerts ?? []);
     this.tabs?.[0].attend(overview);
   }

@@ -148,6 +148,36 @@ export function judgedEstimate({ loss, low, high }, reference) {
   return { mean: (1 - loss) * reference, low: (1 - high) * reference, high: (1 - low) * reference };
 }
 
+/**
+ * Returns when an alert changed to its state (s): the wall-clock time of an acknowledgement, or else the
+ * measurement time.
+ */
+export function changedAt({ state, changed_ns: changed, acknowledged_ns: acknowledged }) {
+  return (state === "acknowledged" && acknowledged !== null ? acknowledged : changed) / 1e9;
+}
+
+/** Returns when an alert was acknowledged, and by whom with the note if its sentence does not say so. Empty if it was not. */
+export function seenWords({ why, acknowledged_by: who, acknowledged_ns: at, note: text }) {
+  if (!who) return "";
+  const note = text ? `: ${text}` : "";
+  const isTold = why.includes(`acknowledged by ${who}${note}`);
+  if (at === null) return isTold ? "" : t("alert-seen-by", who, note);
+  return isTold ? t("alert-seen-on", time(at / 1e9)) : t("alert-seen-by-on", who, time(at / 1e9), note);
+}
+
+/** Returns when the newest loss of an alert was published, if that was after the alert changed to its state. */
+export function revisedWords({ changed_ns: changed, time_ns: newest }) {
+  return newest > changed ? t("revised-at", time(newest / 1e9)) : "";
+}
+
+/** Probability of a loss above which only the loss distinguishes parts. The server has the same limit. */
+const CERTAIN = 0.999;
+
+/** Orders probable losses { probability, loss }, the most severe first. */
+export function bySeverity(a, b) {
+  return Math.min(b.probability, CERTAIN) - Math.min(a.probability, CERTAIN) || b.loss - a.loss;
+}
+
 /** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);
@@ -352,14 +382,14 @@ export function comparedValue(value, of) {
 export function comparedMeans(change, first) {
   if (!change) return { level: "learning", difference: "–", interval: "–", result: t("no-data-in-both-ranges"), sentence: null };
   const share = (value) => signed((100 * value) / first.mean, 2);
-  const isClear = change.low > 0 || change.high < 0;
+  const isClear = (change.low > 0 || change.high < 0) && !change.isByChance;
   const direction = change.difference < 0 ? t("lower") : t("higher");
   const [near, far] = [change.low, change.high].map((end) => Math.abs((100 * end) / first.mean)).sort((a, b) => a - b);
   return {
     level: isClear ? "warning" : "normal",
     difference: `${share(change.difference)} %`,
     interval: t("to-per-cent", share(change.low), share(change.high)),
-    result: isClear ? t("in-the-second-range", direction) : t("no-difference-shown"),
+    result: isClear ? t("in-the-second-range", direction) : change.isByChance ? t("possible-by-chance") : t("no-difference-shown"),
     sentence: isClear ? t("is-per-cent-in-the-second-range", fixed(Math.abs((100 * change.difference) / first.mean), 1), direction, fixed(near, 1), fixed(far, 1), direction) : null,
   };
 }

@@ -17,6 +17,8 @@ pub(crate) struct About {
     pub(crate) coordinates: Option<Coordinates>,
     pub(crate) sampling_rate_hz: f64,
     pub(crate) display_rate_hz: f64,
+    /// Half-life of the filter's memory (s).
+    pub(crate) half_life_s: f64,
     /// Whether there is a model. Without one, only natural frequencies are followed.
     pub(crate) has_model: bool,
     /// Whether a filter estimates the parts of the model from every frame, so that alerts judge them
@@ -47,6 +49,8 @@ pub(crate) struct AboutParameter {
     pub(crate) name: String,
     /// Whether 1 − θ is a loss of stiffness.
     pub(crate) stiffness: bool,
+    /// Mean and standard deviation of the prior, as ratios to the nominal value.
+    pub(crate) prior: (f64, f64),
     /// Loss threshold of the first rule on this parameter, as a share of the reference.
     pub(crate) loss: f64,
 }
@@ -57,6 +61,8 @@ pub(crate) struct AboutNoise {
     pub(crate) name: String,
     /// Unit of the standard deviation.
     pub(crate) unit: &'static str,
+    /// Standard deviation in the structure file, in the unit.
+    pub(crate) std: f64,
 }
 
 /// A declared mode.
@@ -99,12 +105,14 @@ impl About {
             .map(|(index, parameter)| AboutParameter {
                 name: parameter.name().to_owned(),
                 stiffness: parameter.is_stiffness(),
+                prior: (parameter.mean(), parameter.std()),
                 loss: structure.loss_of_interest(index),
             });
         let noise = structure.noise_levels().iter();
         let noise = noise.map(|level| AboutNoise {
             name: level.name().to_owned(),
             unit: structure.noise_unit(level),
+            std: level.std(),
         });
         let conditions = structure.conditions().iter();
         let conditions = conditions.map(|condition| AboutCondition {
@@ -138,6 +146,7 @@ impl About {
             coordinates: structure.coordinates(),
             sampling_rate_hz: structure.sampling_rate_hz(),
             display_rate_hz: structure.display_rate_hz(),
+            half_life_s: structure.half_life_s(),
             has_model: structure.has_model(),
             is_filtered: structure.is_filtered(),
             distributed: structure.fusion().is_some(),

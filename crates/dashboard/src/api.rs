@@ -431,7 +431,7 @@ async fn alerts(
         changed.extend(
             changes(&store)
                 .filter(fits)
-                .map(|alert| (alert.message.time_ns, json!(alert))),
+                .map(|alert| (alert.changed_ns, json!(alert))),
         );
     }
     changed.sort_by_key(|(time_ns, _)| std::cmp::Reverse(*time_ns));

@@ -3,7 +3,7 @@
 //! [`read`] handles all spans that the page or a script requests. It returns the data that the
 //! dashboard has collected since its start, and lists the missing parts. The history service
 //! supplies these, and [`Span::put_before`] inserts its replies. Without a history service, the
-//! reply states the time from which the data is complete.
+//! reply states the time of the first stored value.
 
 use crate::series::{Series, Table};
 use crate::store::Store;
@@ -63,8 +63,9 @@ pub(crate) struct Refused {
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Span {
     structure: String,
-    /// Time from which all requested series are complete (s since the Unix epoch, UTC). `None` if
-    /// there is no data.
+    /// Time of the first stored value of any requested series (s since the Unix epoch, UTC). `None`
+    /// if there is no data. A series that begins later, such as a loss after the reference was
+    /// learnt, does not hide what the others contain.
     kept_from_s: Option<f64>,
     series: Vec<SpanOfSeries>,
 }
@@ -310,12 +311,12 @@ impl Span {
     }
 
     fn tell_kept_from(&mut self) {
-        let last = self
+        let first = self
             .series
             .iter()
             .filter_map(|series| series.kept_from_ns)
-            .max();
-        self.kept_from_s = last.map(|time_ns| time_ns as f64 / 1e9);
+            .min();
+        self.kept_from_s = first.map(|time_ns| time_ns as f64 / 1e9);
     }
 
     /// Returns the span as CSV, with one row per time and one column per series and value.

@@ -2,7 +2,7 @@
 
 use crate::frequencies;
 use crate::sensors::{SensorHealth, SensorState, sensor_states};
-use crate::store::Store;
+use crate::store::{Change, Store};
 use crate::view::present_loss;
 use serde::Serialize;
 use spandrel_bus::{
@@ -12,6 +12,7 @@ use spandrel_bus::{
 use spandrel_earthquake::Urgency;
 use spandrel_earthquake::urgency::{Dated, peak_in, ranking};
 use spandrel_structure::Coordinates;
+use std::cmp::Ordering;
 use std::time::Duration;
 
 /// Maximum number of sensors that a sentence names. The page lists all of them in its table.
@@ -22,6 +23,9 @@ const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 const LATE_S: f64 = 10.0;
 /// Maximum number of further parts that the sentence of an alert names.
 const PARTS_NAMED: usize = 3;
+/// Probability of a loss above which only the loss distinguishes parts. The page shows all of them as
+/// above 99.9 %.
+const CERTAIN: f64 = 0.999;
 
 /// Urgency of a structure, the most urgent first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -64,6 +68,8 @@ pub(crate) struct Overview {
     pub(crate) also: String,
     /// Loss by the newest value, if it is newer than the alert in the sentence.
     pub(crate) now: Option<String>,
+    /// Part of the alert in the sentence. `None` if the sentence describes no alert.
+    pub(crate) part: Option<String>,
     pub(crate) worst: Option<Worst>,
     /// Wall clock minus time of the last identified frame (s). `None` if no data arrives, or if the
     /// data is not live.
@@ -199,11 +205,9 @@ pub(crate) fn overview(store: &Store) -> Overview {
         .losses
         .values()
         .filter(|display| is_stiffness(store, display.parameter.as_str()));
-    // If several losses are certain, the largest loss is the worst.
     let worst = worst.max_by(|a, b| {
-        a.probability_of_loss
-            .total_cmp(&b.probability_of_loss)
-            .then(a.loss.total_cmp(&b.loss))
+        let of = |display: &LossDisplay| Severity::new(display.probability_of_loss, display.loss);
+        of(a).total_cmp(&of(b))
     });
     let worst = worst.and_then(|display| {
         let estimate = store.state.parameters.get(display.parameter.as_str())?;
@@ -223,11 +227,12 @@ pub(crate) fn overview(store: &Store) -> Overview {
         undecided: is_in(display, AlertState::Undecided),
         unconfirmed: is_in(display, AlertState::Unconfirmed),
     });
-    let is_alert = |alert: &&AlertMessage| !is_routine(alert.state);
-    let last_alert = store.changes.iter().find(is_alert).map(|alert| LastAlert {
+    let is_alert = |change: &&Change| !is_routine(change.alert.state);
+    let last_change = store.changes.iter().find(is_alert);
+    let last_alert = last_change.map(|Change { alert, time_ns }| LastAlert {
         parameter: alert.parameter.to_string(),
         state: alert.state,
-        time_s: alert.time_ns as f64 / 1e9,
+        time_s: *time_ns as f64 / 1e9,
         why: alert.why.clone(),
     });
     let raised = unseen(store).count();
@@ -245,6 +250,9 @@ pub(crate) fn overview(store: &Store) -> Overview {
         sentence,
         also,
         now,
+        part: told
+            .filter(|alert| !is_routine(alert.state))
+            .map(|alert| alert.parameter.to_string()),
         worst,
         lag_s: store.displayed_lag(lag_s(store)),
         replayed: store.state.is_replayed(),
@@ -267,6 +275,33 @@ fn is_stiffness(store: &Store, name: &str) -> bool {
         .parameters
         .iter()
         .any(|parameter| parameter.stiffness && parameter.name == name)
+}
+
+/// How severe a probable loss is: first its probability, then its size.
+#[derive(Clone, Copy, Debug)]
+struct Severity {
+    /// Probability of the loss, at most [`CERTAIN`].
+    probability: f64,
+    /// Loss, as a share of the reference.
+    loss: f64,
+}
+
+impl Severity {
+    fn new(probability: f64, loss: f64) -> Self {
+        Self {
+            probability: probability.min(CERTAIN),
+            loss,
+        }
+    }
+
+    fn of(alert: &AlertMessage) -> Self {
+        Self::new(alert.credibility, alert.loss.unwrap_or(0.0))
+    }
+
+    fn total_cmp(&self, other: &Self) -> Ordering {
+        let by_probability = self.probability.total_cmp(&other.probability);
+        by_probability.then(self.loss.total_cmp(&other.loss))
+    }
 }
 
 /// Returns `true` if a state of an alert concerns nobody.
@@ -346,11 +381,9 @@ fn sensor_count(store: &Store) -> SensorCount {
 }
 
 fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
-    // The largest loss first.
-    let largest = |a: &&AlertMessage, b: &&AlertMessage| {
-        a.loss.unwrap_or(0.0).total_cmp(&b.loss.unwrap_or(0.0))
-    };
-    if let Some(first) = unseen(store).max_by(largest) {
+    let by_severity =
+        |a: &&AlertMessage, b: &&AlertMessage| Severity::of(a).total_cmp(&Severity::of(b));
+    if let Some(first) = unseen(store).max_by(by_severity) {
         return (Level::Alarm, with_others(store, first));
     }
     let concerns = concerns(store, sensors);
@@ -361,8 +394,13 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
             true => "the record has ended; this page shows its last state",
             false => "no new data; this page shows the last state",
         };
+        // The end of a record does not end an acknowledged alert. A badge states the end.
+        let level = match concerns.first() {
+            Some((Level::Notice, _)) if has_ended(store) => Level::Notice,
+            _ => Level::Stale,
+        };
         return (
-            Level::Stale,
+            level,
             told().chain([as_it_was]).collect::<Vec<_>>().join("; "),
         );
     }
@@ -379,7 +417,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
     if store.state.silence().is_none() && store.state.now() >= NEVER_MEASURED_AFTER {
         let sentence =
-            "no data since this page was started; check which services and sensors are running";
+            "no data since the server was started; check which services and sensors are running";
         return (Level::Stale, sentence.to_owned());
     }
     if !store.about.is_filtered {

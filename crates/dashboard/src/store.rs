@@ -33,9 +33,10 @@ pub(crate) struct Store {
     /// Newest message of each kind, without names that are not in the structure file.
     pub(crate) state: StructureState,
     pub(crate) phase: Option<Phase>,
-    pub(crate) notes: BTreeMap<String, Acknowledgement>,
+    /// Acknowledgements, newest first.
+    notes: VecDeque<Acknowledgement>,
     /// Changes of alerts, newest first.
-    pub(crate) changes: VecDeque<AlertMessage>,
+    pub(crate) changes: VecDeque<Change>,
     /// Events, newest first.
     pub(crate) events: VecDeque<Event>,
     /// Channels that an event reported as excluded.
@@ -50,6 +51,15 @@ pub(crate) struct Store {
     series: BTreeMap<SeriesName, Series>,
 }
 
+/// A change of an alert to another state.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Change {
+    /// The newest message for this state. Its time is that of its revision.
+    pub(crate) alert: AlertMessage,
+    /// Measurement time of the first message for this state, ns since the Unix epoch, UTC.
+    pub(crate) time_ns: i64,
+}
+
 impl Store {
     pub(crate) fn new(about: About) -> Self {
         Self {
@@ -57,7 +67,7 @@ impl Store {
             about,
             state: StructureState::default(),
             phase: None,
-            notes: BTreeMap::new(),
+            notes: VecDeque::new(),
             changes: VecDeque::new(),
             events: VecDeque::new(),
             excluded: BTreeSet::new(),
@@ -82,7 +92,7 @@ impl Store {
         let is_progress = matches!(input, Input::Ingested(..));
         match input {
             Input::Acknowledgement(note) => {
-                self.notes.insert(note.parameter.to_string(), note);
+                self.take_note(note);
             }
             Input::Event(event) => self.take_event(event),
             Input::Past(log) => self.take_past(log),
@@ -306,23 +316,35 @@ impl Store {
     fn take(&mut self, change: AlertChange) {
         let AlertChange { alert, was_known } = change;
         if (was_known || is_notable(&alert)) && !self.revise(&alert) {
-            self.changes.push_front(alert);
+            let time_ns = alert.time_ns;
+            self.changes.push_front(Change { alert, time_ns });
             self.changes.truncate(CHANGES_KEPT);
         }
     }
 
-    /// Replaces a stored alert by its revision. Returns `false` if it revises no stored alert.
+    /// Adds a message to the stored change to the same state. Returns `false` if there is none.
+    ///
+    /// The change keeps the time of its first message and the contents of its newest one.
     fn revise(&mut self, alert: &AlertMessage) -> bool {
-        let is_same = |known: &&mut AlertMessage| {
-            alert.revises(known) || known.revises(alert) || **known == *alert
-        };
-        let Some(known) = self.changes.iter_mut().find(is_same) else {
+        let mut changes = self.changes.iter_mut();
+        let Some(known) = changes.find(|known| known.is_of(alert)) else {
             return false;
         };
-        if alert.revises(known) {
-            known.clone_from(alert);
+        known.time_ns = known.time_ns.min(alert.time_ns);
+        if alert.revises(&known.alert) {
+            known.alert.clone_from(alert);
         }
         true
+    }
+
+    fn take_note(&mut self, note: Acknowledgement) {
+        if !self.notes.contains(&note) {
+            let place = self
+                .notes
+                .partition_point(|known| known.time_ns > note.time_ns);
+            self.notes.insert(place, note);
+            self.notes.truncate(CHANGES_KEPT);
+        }
     }
 
     fn take_event(&mut self, event: Event) {
@@ -380,10 +402,11 @@ impl Store {
     fn take_past(&mut self, log: HistoryLog) {
         for alert in log.alerts {
             if is_notable(&alert) && !self.revise(&alert) {
+                let time_ns = alert.time_ns;
                 let place = self
                     .changes
-                    .partition_point(|known| known.time_ns > alert.time_ns);
-                self.changes.insert(place, alert);
+                    .partition_point(|known| known.time_ns > time_ns);
+                self.changes.insert(place, Change { alert, time_ns });
             }
         }
         self.changes.truncate(CHANGES_KEPT);
@@ -396,12 +419,9 @@ impl Store {
             }
         }
         self.events.truncate(EVENTS_KEPT);
-        for note in log.acknowledgements {
-            let known = self.notes.get(note.parameter.as_str());
-            if known.is_none_or(|known| known.time_ns < note.time_ns) {
-                self.notes.insert(note.parameter.to_string(), note);
-            }
-        }
+        log.acknowledgements
+            .into_iter()
+            .for_each(|note| self.take_note(note));
     }
 
     /// Returns `true` if data has stopped, or if alerts exist but no data has arrived.
@@ -412,11 +432,31 @@ impl Store {
         }
     }
 
-    /// Returns the note of the person who acknowledged an alert.
-    pub(crate) fn note(&self, alert: &AlertMessage) -> Option<&str> {
-        let note = self.notes.get(alert.parameter.as_str())?;
-        let same = alert.acknowledged_by.as_deref() == Some(note.who.as_str());
-        (same && !note.note.is_empty()).then_some(note.note.as_str())
+    /// Returns the acknowledgement of an alert, with its wall-clock time.
+    ///
+    /// An alert message does not contain it. A person who has acknowledged a parameter several times
+    /// has acknowledged its last alerts, in their order.
+    pub(crate) fn acknowledgement(&self, alert: &AlertMessage) -> Option<&Acknowledgement> {
+        let who = alert.acknowledged_by.as_deref()?;
+        let is_same = |of: &AlertMessage| {
+            of.parameter == alert.parameter && of.acknowledged_by == alert.acknowledged_by
+        };
+        let seen = self.changes.iter().filter(|change| is_same(&change.alert));
+        let mut later: Vec<Option<i64>> = seen
+            .map(|change| change.alert.since_ns)
+            .take_while(|since_ns| *since_ns != alert.since_ns)
+            .collect();
+        later.dedup();
+        let notes = self.notes.iter();
+        let mut own = notes.filter(|note| note.parameter == alert.parameter && note.who == who);
+        own.nth(later.len())
+    }
+
+    /// Returns the measurement time of the change to the present state of an alert, ns.
+    pub(crate) fn changed_ns(&self, alert: &AlertMessage) -> i64 {
+        let mut changes = self.changes.iter();
+        let known = changes.find(|known| known.is_of(alert));
+        known.map_or(alert.time_ns, |known| known.time_ns)
     }
 
     /// Returns the lag behind the wall clock if it is meaningful and data arrives.
@@ -478,6 +518,13 @@ impl Store {
             }
         }
         news
+    }
+}
+
+impl Change {
+    /// Returns `true` if a message concerns the same state, as a revision or a repetition.
+    fn is_of(&self, alert: &AlertMessage) -> bool {
+        alert.revises(&self.alert) || self.alert.revises(alert) || self.alert == *alert
     }
 }
 

@@ -49,6 +49,11 @@ pub(crate) struct AlertView<'s> {
     pub(crate) message: &'s AlertMessage,
     /// Whether the service that published the alert has disappeared.
     pub(crate) stale: bool,
+    /// Measurement time of the change to this state, ns since the Unix epoch, UTC. The time of the
+    /// message is that of its newest revision.
+    pub(crate) changed_ns: i64,
+    /// Wall-clock time of the acknowledgement, ns since the Unix epoch, UTC.
+    pub(crate) acknowledged_ns: Option<i64>,
     /// Note from the acknowledgement.
     pub(crate) note: Option<&'s str>,
     /// Loss by the newest value, if that is newer than the sentence of the alert.
@@ -163,15 +168,34 @@ pub(crate) fn modes(store: &Store) -> impl Iterator<Item = &ModeDisplay> {
 /// Returns the alert of each parameter.
 pub(crate) fn standing_alerts(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
     store.state.alerts.iter().map(|(name, message)| AlertView {
-        message,
         stale: store.state.is_alert_stale(name),
-        note: store.note(message),
         now: present_loss(store, message),
         unwatched: store.state.unwatched(name),
         contact: &store.about.contact,
         runbook: store.about.runbook.as_deref(),
         notices: notices(store, message),
+        ..AlertView::of(store, message, store.changed_ns(message))
     })
+}
+
+impl<'s> AlertView<'s> {
+    /// Returns the view of a past change.
+    fn of(store: &'s Store, message: &'s AlertMessage, changed_ns: i64) -> Self {
+        let acknowledgement = store.acknowledgement(message);
+        let note = acknowledgement.map(|seen| seen.note.as_str());
+        Self {
+            message,
+            stale: false,
+            changed_ns,
+            acknowledged_ns: acknowledgement.map(|seen| seen.time_ns),
+            note: note.filter(|note| !note.is_empty()),
+            now: None,
+            unwatched: None,
+            contact: "",
+            runbook: None,
+            notices: Vec::new(),
+        }
+    }
 }
 
 /// Returns the last notice of an alert to each receiver, newest first. An alert that was active
@@ -219,16 +243,8 @@ pub(crate) fn present_loss(store: &Store, message: &AlertMessage) -> Option<Stri
 
 /// Returns the changes of alerts, newest first.
 pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
-    store.changes.iter().map(|message| AlertView {
-        message,
-        stale: false,
-        note: store.note(message),
-        now: None,
-        unwatched: None,
-        contact: "",
-        runbook: None,
-        notices: Vec::new(),
-    })
+    let changes = store.changes.iter();
+    changes.map(|change| AlertView::of(store, &change.alert, change.time_ns))
 }
 
 #[cfg(test)]

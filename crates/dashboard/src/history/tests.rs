@@ -241,3 +241,17 @@ fn the_history_is_not_queried_for_series_that_it_does_not_store() {
     let kinds: Vec<&str> = earlier.iter().map(|one| one.query.kind.as_str()).collect();
     assert_eq!(kinds, ["loss"]);
 }
+
+/// Regression test: the loss begins after the reference was learnt, and hid the estimates before it.
+#[test]
+fn a_series_that_begins_later_does_not_hide_the_others() {
+    let mut store = demo();
+    hear(&mut store, "storey-1", 7 * SECOND, 1.0, 0.0);
+    hear(&mut store, "storey-2", 3 * SECOND, 1.0, 0.0);
+    let asked = Asked {
+        series: Some("loss/storey-1,parameter/storey-2".into()),
+        ..Asked::default()
+    };
+    let (span, _) = read(&store, &Request::new(&asked, &store).unwrap());
+    assert_eq!(span.kept_from_s, Some(3.0));
+}

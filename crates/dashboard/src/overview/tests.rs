@@ -204,7 +204,7 @@ fn a_structure_of_which_nothing_ever_comes_needs_attention() {
     assert!(
         found
             .sentence
-            .contains("no data since this page was started"),
+            .contains("no data since the server was started"),
         "{}",
         found.sentence
     );
@@ -812,7 +812,7 @@ fn routine_changes_are_no_last_alert() {
     let because = UndecidedBecause::NoiseTraining;
     store.handle(undecided("storey-1", AlertState::Undecided, because));
     assert_eq!(
-        store.changes.front().unwrap().parameter.as_str(),
+        store.changes.front().unwrap().alert.parameter.as_str(),
         "storey-1"
     );
     assert_eq!(overview(&store).last_alert.unwrap().parameter, "storey-2");
@@ -843,4 +843,52 @@ fn a_model_that_natural_frequencies_update_is_a_model() {
     let structure = spandrel_structure::Structure::parse(text, path).unwrap();
     let found = overview(&Store::new(crate::about::About::new(&structure)));
     assert!(found.has_model && !found.is_filtered);
+}
+
+/// Regression test: the headline was about another part than *Worst part*, and a less probable loss was
+/// before a certain one.
+#[test]
+fn the_headline_and_the_worst_part_are_the_most_severe_loss() {
+    for ((probability_a, loss_a), (probability_b, loss_b)) in [
+        ((0.91, 0.2), (0.9999, 0.1)),
+        // Certain losses differ only in their size.
+        ((0.999_99, 0.1), (0.999_1, 0.2)),
+    ] {
+        let mut store = demo();
+        for (of, probability, loss) in [
+            ("storey-2", probability_a, loss_a),
+            ("storey-3", probability_b, loss_b),
+        ] {
+            hear(&mut store, of, 1, 1.0 - loss, probability);
+            store.handle(Input::Alert(AlertMessage {
+                credibility: probability,
+                loss: Some(loss),
+                ..alert(of, 1, AlertState::Raised)
+            }));
+        }
+        let found = overview(&store);
+        assert_eq!(found.part.as_deref(), Some("storey-3"));
+        assert_eq!(found.worst.unwrap().parameter, "storey-3");
+        assert!(found.sentence.starts_with("storey-3"), "{}", found.sentence);
+    }
+}
+
+/// Regression test: an alert that somebody handles turned into "No data" when its record ended.
+#[test]
+fn the_end_of_a_record_does_not_hide_an_acknowledged_alert() {
+    let mut store = demo();
+    store.handle(status(Service::Ingest, CLOCK_NS, Some(Pace::Replayed)));
+    store.handle(present(&[(Service::Sensor, "floor-1")]));
+    hear(&mut store, "storey-2", CLOCK_NS, 0.85, 1.0);
+    let seen = AlertMessage {
+        acknowledged_by: Some("Ada".into()),
+        ..alert("storey-2", CLOCK_NS, AlertState::Acknowledged)
+    };
+    store.handle(Input::Alert(seen));
+    store.handle(present(&[]));
+    store.handle(at(60.0));
+    let found = overview(&store);
+    assert_eq!((found.level, found.ended), (Level::Notice, true));
+    let told = "storey-2 is acknowledged; the record has ended; this page shows its last state";
+    assert_eq!(found.sentence, told);
 }

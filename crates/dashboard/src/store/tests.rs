@@ -18,28 +18,39 @@ fn initial_normal_state_is_no_change() {
     assert!(store.changes.is_empty());
     store.handle(Input::Alert(alert("storey-1", 1, AlertState::Raised)));
     store.handle(Input::Alert(alert("storey-1", 2, AlertState::Cleared)));
-    let states: Vec<AlertState> = store.changes.iter().map(|change| change.state).collect();
+    let states = store.changes.iter().map(|change| change.alert.state);
+    let states: Vec<AlertState> = states.collect();
     assert_eq!(states, [AlertState::Cleared, AlertState::Raised]);
 }
 
+/// Regression test: an acknowledgement had the time of the data, and that of an earlier alert had the
+/// note of the last one.
 #[test]
-fn note_is_shown_only_for_the_person_who_acknowledged() {
+fn an_alert_has_the_note_and_the_time_of_its_own_acknowledgement() {
     let mut store = demo();
-    let seen = |who: &str| Acknowledgement {
+    let seen = |who: &str, time_ns: i64| Acknowledgement {
         structure: name("demo"),
         parameter: name("storey-2"),
-        time_ns: 0,
+        time_ns,
         who: who.into(),
-        note: "on my way".into(),
+        note: format!("{who} at {time_ns}"),
     };
-    let acknowledged = AlertMessage {
+    let acknowledged = |time_ns: i64| AlertMessage {
         acknowledged_by: Some("Ada".into()),
-        ..alert("storey-2", 1, AlertState::Acknowledged)
+        since_ns: Some(time_ns),
+        ..alert("storey-2", time_ns, AlertState::Acknowledged)
     };
-    store.handle(Input::Acknowledgement(seen("Bob")));
-    assert_eq!(store.note(&acknowledged), None);
-    store.handle(Input::Acknowledgement(seen("Ada")));
-    assert_eq!(store.note(&acknowledged), Some("on my way"));
+    let (first, second) = (acknowledged(1), acknowledged(5));
+    store.handle(Input::Acknowledgement(seen("Bob", 800)));
+    store.handle(Input::Alert(first.clone()));
+    assert_eq!(store.acknowledgement(&first), None);
+    store.handle(Input::Acknowledgement(seen("Ada", 900)));
+    assert_eq!(store.acknowledgement(&first), Some(&seen("Ada", 900)));
+    store.handle(Input::Alert(alert("storey-2", 2, AlertState::Cleared)));
+    store.handle(Input::Acknowledgement(seen("Ada", 990)));
+    store.handle(Input::Alert(second.clone()));
+    assert_eq!(store.acknowledgement(&second), Some(&seen("Ada", 990)));
+    assert_eq!(store.acknowledgement(&first), Some(&seen("Ada", 900)));
 }
 
 #[test]
@@ -183,9 +194,44 @@ fn revisions_are_one_change_with_the_newest_loss() {
     let changes: Vec<_> = store
         .changes
         .iter()
-        .map(|change| (change.parameter.as_str(), change.loss))
+        .map(|change| (change.alert.parameter.as_str(), change.alert.loss))
         .collect();
     assert_eq!(changes.len(), 2);
     assert_eq!(changes[1], ("storey-2", Some(0.3)));
     assert_eq!(store.state.alerts["storey-2"].revision, 2);
+}
+
+/// Regression test: each revision moved the time at which an alert was raised, and its mark in the
+/// plots. The order in which a restarted dashboard receives the messages must not matter.
+#[test]
+fn revisions_do_not_move_the_time_of_a_change() {
+    let revised = |time_ns, revision| AlertMessage {
+        revision,
+        ..alert("storey-2", time_ns, AlertState::Raised)
+    };
+    let past = |alerts| {
+        Input::Past(HistoryLog {
+            structure: name("demo"),
+            alerts,
+            acknowledgements: vec![],
+            events: vec![],
+        })
+    };
+    let of = |inputs: Vec<Input>| {
+        let mut store = demo();
+        inputs.into_iter().for_each(|input| store.handle(input));
+        let newest = &store.state.alerts["storey-2"];
+        (
+            store.changed_ns(newest),
+            newest.time_ns,
+            store.changes.len(),
+        )
+    };
+    let [first, second, third] = [revised(1, 0), revised(3, 1), revised(5, 2)];
+    let live = [&first, &second, &third].map(|alert| Input::Alert(alert.clone()));
+    assert_eq!(of(live.to_vec()), (1, 5, 1));
+    let standing = Input::StandingAlert(third.clone());
+    let earlier = past(vec![first, second, third]);
+    assert_eq!(of(vec![standing.clone(), earlier.clone()]), (1, 5, 1));
+    assert_eq!(of(vec![earlier, standing]), (1, 5, 1));
 }
