@@ -25,6 +25,8 @@ pub(crate) struct Before<'a> {
     pub(crate) now: ParameterEstimate,
     /// Whether no sensor of the response delivers samples.
     pub(crate) is_silent: bool,
+    /// Whether the estimate counts as less certain because a sensor is left out.
+    pub(crate) is_without_sensor: bool,
     /// The strong motion from which the structure has not settled.
     pub(crate) shaking: Option<&'a Shaking>,
     /// The modes that contradict the model, in words.
@@ -187,7 +189,7 @@ fn undecided(because: UndecidedBecause, rule: &Rule, alert: &Alert, before: Befo
             let ParameterEstimate { mean, std, .. } = before.now;
             format!("{RESPONSE_IS_SILENT} (last estimate {mean:.3} ± {std:.3})")
         }
-        UndecidedBecause::NothingLearnt => nothing_learnt(rule, alert, before.now),
+        UndecidedBecause::NothingLearnt => nothing_learnt(rule, alert, before),
         UndecidedBecause::NoiseTraining
         | UndecidedBecause::ExcitationSilent
         | UndecidedBecause::SensorInDoubt
@@ -201,8 +203,8 @@ fn undecided(because: UndecidedBecause, rule: &Rule, alert: &Alert, before: Befo
 /// Returns whether the estimate or the reference is too uncertain.
 ///
 /// The reference is the cause if it would hide the loss even from an exact estimate.
-fn nothing_learnt(rule: &Rule, alert: &Alert, now: ParameterEstimate) -> String {
-    let ParameterEstimate { mean, std, .. } = now;
+fn nothing_learnt(rule: &Rule, alert: &Alert, before: Before<'_>) -> String {
+    let ParameterEstimate { mean, std, .. } = before.now;
     let Some(reference) = &alert.reference else {
         let span = match rule.reference() {
             ReferenceRule::Learnt { span_ns } => format!(" of {}", duration(span_ns)),
@@ -221,7 +223,11 @@ fn nothing_learnt(rule: &Rule, alert: &Alert, now: ParameterEstimate) -> String 
         (false, Some(_)) => "the reference, from few records, is",
         (false, None) => "the reference is",
     };
-    let shown = format!("a loss of {}", percent(twice));
+    let why = match before.is_without_sensor {
+        true => ", because a sensor is left out",
+        false => "",
+    };
+    let shown = format!("a loss of {}{why}", percent(twice));
     let (sound, scatter) = (reference.mean(), reference.std());
     format!(
         "{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})"

@@ -112,6 +112,7 @@ impl Decision {
             is_silent: self
                 .last
                 .is_some_and(|(_, flags)| flags.phase == Phase::ResponseSilent),
+            is_without_sensor: self.left_out.widens(),
             shaking: shaking.as_ref(),
             modes: self.contradicting_modes.as_deref(),
         };

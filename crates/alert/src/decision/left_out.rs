@@ -37,6 +37,12 @@ impl LeftOut {
         }
     }
 
+    /// Returns `true` if estimates count as less certain, because no reference without the sensors is
+    /// known.
+    pub(super) fn widens(&self) -> bool {
+        self.excluded != Excluded::None && self.reference.is_none()
+    }
+
     /// Interrupts the span. A reference that is known remains.
     pub(super) fn interrupt(&mut self) {
         self.span = None;
