@@ -149,7 +149,7 @@ impl Structure {
             let settings = NodeSettings {
                 steps_per_period: (own.sampling_rate_hz() / plan.rate_hz).round() as u64,
                 feedback: plan.feedback,
-                scheme: plan.covariance.clone(),
+                scheme: plan.covariance,
                 motion: self.motion_exchange()?,
                 position,
                 healthy: self.healthy_limits(),
@@ -234,7 +234,7 @@ impl Structure {
         let parameters = self.parameters.len();
         let weights = match plan.covariance {
             CovarianceScheme::Full => Weights::Mixed,
-            CovarianceScheme::Identity | CovarianceScheme::Basis(_) => Weights::Vector,
+            CovarianceScheme::Identity => Weights::Vector,
         };
         let with_modes = |modes| weights.message_numbers(self.system.len(), modes, parameters);
         let density = with_modes(0);

@@ -273,35 +273,23 @@ impl ModalBasis {
 }
 
 /// The reduction of the parameter covariance for nodes that send only parameters, §7.3.1.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CovarianceScheme {
     /// The whole covariance.
     #[default]
     Full,
-    /// The variances.
+    /// The variances: (7.21) to (7.27), with the parameters as the basis.
     Identity,
-    /// The variances along given orthonormal columns `𝒲` (N_θ × N_θ), (7.21) to (7.27).
-    Basis(DMatrix<f64>),
 }
 
 impl CovarianceScheme {
-    /// Creates a basis from the eigenvectors of summed information matrices (N_θ × N_θ).
+    /// Returns the reduced covariance (N_θ × N_θ).
     #[must_use]
-    pub fn of_information(sum: &DMatrix<f64>) -> Self {
-        Self::Basis(sum.clone().symmetric_eigen().eigenvectors)
-    }
-
-    /// Returns the reduced covariance `Σ* = Σ_m φ_m w_m w_mᵀ` (N_θ × N_θ), with `φ_m = w_mᵀ Σ w_m`.
-    #[must_use]
-    pub fn reduce(&self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    pub fn reduce(self, covariance: &DMatrix<f64>) -> DMatrix<f64> {
         match self {
             Self::Full => covariance.clone(),
             Self::Identity => DMatrix::from_diagonal(&covariance.diagonal()),
-            Self::Basis(basis) => {
-                let along = (basis.transpose() * covariance * basis).diagonal();
-                basis * DMatrix::from_diagonal(&along) * basis.transpose()
-            }
         }
     }
 }
@@ -374,12 +362,14 @@ mod tests {
         let random =
             |k: usize| DMatrix::from_fn(6, 6, |i, j| ((7 * i + 3 * j + 11 * k + 1) as f64).sin());
         let basis = random(9).qr().q();
-        let scheme = CovarianceScheme::Basis(basis.clone());
+        let reduce = |covariance: DMatrix<f64>| {
+            let along = (basis.transpose() * covariance * &basis).diagonal();
+            &basis * DMatrix::from_diagonal(&along) * basis.transpose()
+        };
         let nodes: Vec<Gaussian> = (0..4)
             .map(|k| {
                 let a = random(k);
-                let covariance =
-                    scheme.reduce(&(&a * a.transpose() + DMatrix::identity(6, 6) * 0.1));
+                let covariance = reduce(&a * a.transpose() + DMatrix::identity(6, 6) * 0.1);
                 Gaussian {
                     mean: DVector::from_fn(6, |i, _| ((i + 5 * k) as f64).cos()),
                     covariance,

@@ -113,7 +113,7 @@ impl Sums {
     }
 
     /// Returns the squared distance of a node from these sums, without its own terms if it is part
-    /// of them.
+    /// of them. A distance that is not a number counts as infinite, so that the node is suspicious.
     ///
     /// (7.52) assumes that the other nodes have learnt independently, so that their mean has a
     /// variance smaller by their number. However, nodes that exchange measurements have almost the
@@ -134,7 +134,7 @@ impl Sums {
                 sum += (others - mean).powi(2) / (shared / weight + variance);
             }
         }
-        sum
+        if sum.is_nan() { f64::INFINITY } else { sum }
     }
 }
 
@@ -244,14 +244,9 @@ impl GlobalDetector {
     }
 }
 
-/// Returns `min(1, limit²/d²)`, or 0 if the distance is NaN.
+/// Returns `min(1, limit²/d²)`.
 fn weight(limit: f64, distance: f64) -> f64 {
-    let weight = (limit / distance).powi(2);
-    if weight.is_nan() {
-        0.0
-    } else {
-        weight.min(1.0)
-    }
+    (limit / distance).powi(2).min(1.0)
 }
 
 fn chi_squared(degrees: usize) -> Option<ChiSquared> {

@@ -78,7 +78,7 @@ impl FeedbackRule {
     }
 }
 
-/// The density from which a node started towards its message.
+/// The density that the node held at the start of the period of its message.
 ///
 /// The difference between the message and this density is the information that the node has learnt.
 /// A lineage only names answered messages, because an answer proves that the station has received
@@ -599,14 +599,7 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
             .filter
             .restore(rewind.state)
             .and_then(|()| self.take_at_once(feedback, sent));
-        if let Some(running) = self
-            .shared
-            .as_mut()
-            .and_then(|shared| shared.running.as_mut())
-            && taken.is_ok()
-        {
-            running.state = self.filter.state().clone();
-        }
+        let fused = self.shared.is_some().then(|| self.filter.state().clone());
         for (observations, excitation) in rewind.frames {
             if taken.is_ok() {
                 taken = self
@@ -620,8 +613,18 @@ impl<M: ProcessModel + ObservationModel> LocalFilter<M> {
         }
         if taken.is_err() {
             self.filter.restore(now)?;
+            return taken;
         }
-        taken
+        // The period starts from the fused density only if the node keeps it. A refused answer
+        // would otherwise count in the next exchange of samples.
+        let running = self
+            .shared
+            .as_mut()
+            .and_then(|shared| shared.running.as_mut());
+        if let Some((running, fused)) = running.zip(fused) {
+            running.state = fused;
+        }
+        Ok(())
     }
 
     fn take_at_once(&mut self, feedback: &Feedback, sent: &Gaussian) -> Result<(), FilterError> {

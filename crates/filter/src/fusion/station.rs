@@ -65,6 +65,14 @@ pub struct NodeReport {
     pub out_of_step: bool,
 }
 
+impl NodeReport {
+    /// Returns `true` if the fusion used a message of the node.
+    #[must_use]
+    pub fn is_used(&self) -> bool {
+        self.heard && !self.excluded
+    }
+}
+
 /// The result of a fusion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fused {
@@ -80,7 +88,8 @@ pub struct Fused {
     pub nodes: Vec<NodeReport>,
     /// Answers by node, to its last message. `None` without a message.
     pub feedback: Vec<Option<Feedback>>,
-    /// `true` if the fused means were out of range, and the station restarted from the prior.
+    /// `true` if the fused density was invalid or its means were out of range, and the station
+    /// restarted from the prior.
     pub restarted_from_prior: bool,
     /// `true` if the station adopted the information of its nodes, because they knew more from a
     /// past that it does not know.
@@ -136,7 +145,6 @@ impl Station {
     /// Returns the reason if the message is invalid or old. The station is then unchanged.
     pub fn receive(&mut self, node: usize, message: LocalEstimate, at: f64) -> Result<(), Refusal> {
         let parameters = self.settings.prior.mean.len();
-        let growth = self.settings.growth_per_period;
         let known = self.known.get_mut(node).ok_or(Refusal::UnknownNode)?;
         if message.parameters.mean.len() != parameters
             || message.parameters.covariance.shape() != (parameters, parameters)
@@ -161,11 +169,7 @@ impl Station {
         if !(motion_is_sound && at.is_finite() && message.instant.is_finite()) {
             return Err(Refusal::NoDensity);
         }
-        if known
-            .own
-            .as_ref()
-            .is_some_and(|own| message.index <= own.index)
-        {
+        if known.has_received(message.index) {
             return Err(Refusal::Old);
         }
         let learnt = message
@@ -174,11 +178,11 @@ impl Station {
             .and_then(|lineage| known.learnt(lineage, message.index, &now, &self.settings));
         let of_unknown_past = learnt.is_none() && message.lineage.is_some();
         if let Some(learnt) = &learnt {
-            known.count(message.index, learnt, growth);
+            known.count(message.index, learnt, &self.settings);
         }
         let before = known.waiting.take().and_then(|before| {
             let mut learnt = before.learnt?;
-            learnt.fade(growth.powf((at - before.at).max(0.0)));
+            learnt.fade(self.settings.growth((at - before.at).max(0.0)));
             Some(learnt)
         });
         let learnt = match (learnt, before) {
@@ -272,11 +276,26 @@ impl Station {
         }
     }
 
+    /// Restarts the clock of the station at 0, for nodes that replay a record again.
+    ///
+    /// The first fusion fades the density by its own time since then.
+    pub fn restart_clock(&mut self) {
+        self.at = None;
+    }
+
     /// Returns the time of the last fusion (fusion periods), or `None` before the first fusion
-    /// since the start or since [`Station::restore`].
+    /// since the start, since [`Station::restore`] or since [`Station::restart_clock`].
     #[must_use]
     pub fn last_fusion(&self) -> Option<f64> {
         self.at
+    }
+
+    /// Returns `true` if the station has received message `index` of a node, or a later one.
+    #[must_use]
+    pub fn has_received(&self, node: usize, index: u64) -> bool {
+        self.known
+            .get(node)
+            .is_some_and(|known| known.has_received(index))
     }
 
     /// Returns `true` if a node has sent a message since the last fusion.

@@ -120,6 +120,26 @@ fn at_least_two_nodes_remain() {
     assert!(detector.judge(&[], Sharing::All).is_empty());
 }
 
+/// Regression: a node whose distance is not a number counted as regular, with weight 1.
+#[test]
+fn node_without_a_distance_is_excluded() {
+    let at = |mean: f64| Gaussian {
+        mean: DVector::from_element(1, mean),
+        covariance: DMatrix::identity(1, 1),
+    };
+    let (near, next, nan) = (at(0.0), at(0.1), at(f64::NAN));
+    let detector = GlobalDetector {
+        one_at_a_time: true,
+        ..GlobalDetector::default()
+    };
+    let found = detector.judge(&[&near, &next, &nan], Sharing::All);
+    let judged = found.iter().map(|node| (node.excluded, node.weight));
+    assert_eq!(
+        judged.collect::<Vec<_>>(),
+        [(false, 1.0), (false, 1.0), (true, 0.0)]
+    );
+}
+
 /// Checks that a node with much less uncertainty than all others stays regular, and that a faulty
 /// node is found.
 ///

@@ -266,6 +266,40 @@ fn missing_or_invalid_samples_of_others_are_ignored() {
     }
 }
 
+/// Regression: an answer that the node refused, because it could not filter the later frames, still
+/// became the start of the period. The next exchange of samples then counted the answer again.
+#[test]
+fn refused_answer_does_not_change_the_start_of_the_period() {
+    let fused = |mean: f64| Gaussian {
+        mean: DVector::repeat(2, mean),
+        covariance: DMatrix::from_diagonal_element(2, 2, 0.02),
+    };
+    let run = |refused: Option<&Gaussian>| {
+        let mut nodes = [node(0).unwrap(), node(1).unwrap()];
+        let told = run_period(&mut nodes, 0);
+        let step = |node: &mut LocalFilter<Constants>, step| {
+            let frame = Frame {
+                observations: &[datum(0, step)],
+                excitation: &[],
+            };
+            node.step(frame).unwrap();
+        };
+        step(&mut nodes[0], STEPS);
+        if let Some(refused) = refused {
+            let taken = nodes[0].take(&answer(1, refused, &told));
+            assert_eq!(taken, Taken::Refused);
+        }
+        (STEPS + 1..2 * STEPS).for_each(|number| step(&mut nodes[0], number));
+        let mut told = vec![nodes[0].report(), told[1].clone()];
+        told[1].motion.as_mut().unwrap().mean = vec![datum(1, STEPS); INSTANTS].into();
+        let taken = nodes[0].take(&answer(2, &fused(1.0), &told));
+        assert_eq!(taken, Taken::Applied);
+        nodes[0].filter().parameters()
+    };
+    // The squares of the innovations of the later frame overflow.
+    assert_eq!(run(Some(&fused(1e200))), run(None));
+}
+
 #[test]
 fn number_of_instants_must_divide_the_samples_of_a_period() {
     let of = |instants| NodeSettings {

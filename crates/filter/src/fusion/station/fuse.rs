@@ -26,7 +26,7 @@ impl Round {
 
     /// Returns the nodes with a message that are not excluded.
     fn used(&self) -> Vec<usize> {
-        self.nodes(|report| report.heard && !report.excluded)
+        self.nodes(NodeReport::is_used)
     }
 
     fn nodes(&self, counts: impl Fn(&NodeReport) -> bool) -> Vec<usize> {
@@ -74,20 +74,22 @@ impl Station {
     /// fades. The result is always a valid density: if the sum is invalid, the fusion reduces the
     /// learnt information, if necessary to zero.
     pub fn fuse(&mut self, at: f64) -> Fused {
-        let growth = self.settings.growth_per_period;
         let elapsed = self.at.map_or(at, |before| at - before).max(0.0);
         self.at = Some(at);
-        self.fused.fade(growth.powf(elapsed));
+        self.fused.fade(self.settings.growth(elapsed));
         bound(&mut self.fused, &self.settings.variance_bound);
 
         let mut round = self.begin_round(at);
         self.judge(&mut round);
         let used = round.used();
         let adopted = self.adopt(&used, &round);
-        let mut parameters = self.add_learnt(&used, &round);
-        let restarted_from_prior = !self.settings.healthy.contain(&parameters.mean);
+        let healthy = self
+            .add_learnt(&used, &round)
+            .filter(|density| self.settings.healthy.contain(&density.mean));
+        let restarted_from_prior = healthy.is_none();
+        let parameters = healthy.unwrap_or_else(|| self.settings.prior.clone());
         if restarted_from_prior && let Ok(prior) = self.settings.prior.information() {
-            (self.fused, parameters) = (prior, self.settings.prior.clone());
+            self.fused = prior;
         }
         let motion = self.fuse_motion(&used, &mut round);
         let feedback = self.answer(&round, &parameters, used.len(), &motion);
@@ -154,11 +156,10 @@ impl Station {
         if 2 * strangers.len() < used.len().max(1) {
             return false;
         }
-        let growth = self.settings.growth_per_period;
         let mut mean = Information::none(self.settings.prior.mean.len());
         for (waiting, density) in &strangers {
             if let Ok(information) = density.information() {
-                let age = growth.powf(round.age(waiting));
+                let age = self.settings.growth(round.age(waiting));
                 mean.add(1.0 / (age * strangers.len() as f64), &information);
             }
         }
@@ -228,14 +229,13 @@ impl Station {
         }
     }
 
-    /// Makes the fused density the state, and returns it.
+    /// Makes the fused density the state, and returns it. `None` if no valid density is left.
     ///
     /// The information that a node has learnt counts with its weight over `γ`. `γ` depends on the
     /// sum of the weights. As the weight of a node approaches zero, the result therefore approaches
     /// a fusion without it.
-    fn add_learnt(&mut self, used: &[usize], round: &Round) -> Gaussian {
-        let growth = self.settings.growth_per_period;
-        let age = |waiting: &WaitingEstimate| growth.powf(round.age(waiting));
+    fn add_learnt(&mut self, used: &[usize], round: &Round) -> Option<Gaussian> {
+        let age = |waiting: &WaitingEstimate| self.settings.growth(round.age(waiting));
         let fused = match self.settings.rule {
             FusionRule::Published => {
                 let mut product = Information::none(self.settings.prior.mean.len());
@@ -279,12 +279,10 @@ impl Station {
         };
         if let Some((information, density)) = fused {
             self.fused = information;
-            return density;
+            return Some(density);
         }
         // The previous density, faded, is valid.
-        self.fused
-            .gaussian()
-            .unwrap_or_else(|_| self.settings.prior.clone())
+        self.fused.gaussian().ok()
     }
 
     /// Fuses the motion of the used nodes, and marks nodes whose motion has another time.

@@ -25,7 +25,7 @@ pub(super) struct Known {
     pub(super) lineage: Option<Lineage>,
     /// Answered messages, and the densities that may have replaced them.
     pub(super) answered: VecDeque<Answered>,
-    /// Messages after the node's last start message.
+    /// Information of the messages after the message that the lineage names as `own`.
     pub(super) counted: VecDeque<Counted>,
     /// Message received since the last fusion. Not saved, because the station's clock restarts with
     /// each run.
@@ -89,8 +89,8 @@ struct Shift<'k> {
 
 impl NodeStart<'_> {
     /// Returns the information of the density, faded to period `index`.
-    fn faded_to(&self, index: u64, growth_per_period: f64) -> Result<Information, FilterError> {
-        let growth = |since: u64| growth_per_period.powf(index.saturating_sub(since) as f64);
+    fn faded_to(&self, index: u64, settings: &StationSettings) -> Result<Information, FilterError> {
+        let growth = |since: u64| settings.growth(index.saturating_sub(since) as f64);
         let mut start = self.density.information()?;
         start.fade(growth(self.index));
         for shift in &self.shifts {
@@ -102,6 +102,11 @@ impl NodeStart<'_> {
 }
 
 impl Known {
+    /// Returns `true` if message `index` or a later one has been received.
+    pub(super) fn has_received(&self, index: u64) -> bool {
+        self.own.as_ref().is_some_and(|own| index <= own.index)
+    }
+
     /// Returns the density from which the node started. `None` if unknown.
     pub(super) fn start<'k>(
         &'k self,
@@ -143,15 +148,14 @@ impl Known {
         now: &Information,
         settings: &StationSettings,
     ) -> Option<Information> {
-        let growth = settings.growth_per_period;
         let start = self.start(lineage, &settings.prior)?;
-        let mut from = start.faded_to(index, growth).ok()?;
+        let mut from = start.faded_to(index, settings).ok()?;
         bound(&mut from, &settings.variance_bound);
         let mut learnt = now.clone();
         learnt.add(-1.0, &from);
         self.counted.retain(|counted| counted.index > lineage.own);
         for counted in &self.counted {
-            let age = growth.powf((index - counted.index) as f64);
+            let age = settings.growth((index - counted.index) as f64);
             learnt.add(-1.0 / age, &counted.learnt);
         }
         Some(learnt)
@@ -159,7 +163,7 @@ impl Known {
 
     /// Records the information of a message, to subtract it from later messages that start before
     /// it.
-    pub(super) fn count(&mut self, index: u64, learnt: &Information, growth: f64) {
+    pub(super) fn count(&mut self, index: u64, learnt: &Information, settings: &StationSettings) {
         self.counted.push_back(Counted {
             index,
             learnt: learnt.clone(),
@@ -175,7 +179,7 @@ impl Known {
                     .any(|answered| (before..index).contains(&answered.index))
             };
             if let Some(before) = sums.back().filter(|before| !apart(before.index)) {
-                let age = growth.powf((index - before.index) as f64);
+                let age = settings.growth((index - before.index) as f64);
                 counted.learnt.add(1.0 / age, &before.learnt);
                 sums.pop_back();
             }

@@ -83,7 +83,19 @@ pub struct StationSettings {
     pub healthy: MeanLimits,
 }
 
+/// Largest factor by which information fades at once.
+///
+/// It makes any density wider than its bound. A larger factor would round the information to 0 after
+/// a long gap, and the means would be lost with it.
+const LARGEST_GROWTH: f64 = 1e30;
+
 impl StationSettings {
+    /// Returns the growth of a variance by fading in this number of fusion periods, at most
+    /// [`LARGEST_GROWTH`].
+    pub(super) fn growth(&self, periods: f64) -> f64 {
+        self.growth_per_period.powf(periods).min(LARGEST_GROWTH)
+    }
+
     pub(super) fn check(&self) -> Result<(), FilterError> {
         let (found, expected) = (self.variance_bound.len(), self.prior.mean.len());
         if found != expected {

@@ -386,6 +386,44 @@ fn variances_grow_up_to_their_bound_without_messages() {
     assert!((last.parameters.mean - prior().mean).amax() < 1e-12);
 }
 
+/// Regression: after a gap of 85 minutes with a half-life of 10 s, the factor of the fading
+/// overflowed. The station lost its means, and counted the bound of a node as learnt.
+#[test]
+fn means_survive_any_gap_and_nothing_is_learnt_in_it() {
+    let mut station = station(1, FusionRule::default(), FeedbackRule::Marginal);
+    station.settings.variance_bound = DVector::repeat(2, 0.05);
+    let message = |index, own, variance| LocalEstimate {
+        index,
+        parameters: Gaussian {
+            mean: DVector::from_row_slice(&[0.7, 1.2]),
+            covariance: DMatrix::from_diagonal_element(2, 2, variance),
+        },
+        lineage: Some(Lineage {
+            own,
+            answers: vec![own; usize::from(own > 0)],
+        }),
+        motion: None,
+        instant: index as f64,
+    };
+    station.receive(0, message(1, 0, 1e-8), 1.0).unwrap();
+    let before = station.fuse(1.0).parameters;
+    assert!((&before.mean - DVector::from_row_slice(&[0.7, 1.2])).amax() < 1e-6);
+    let periods = 100_000;
+    let at = 1.0 + periods as f64;
+    let fused = station.fuse(at);
+    assert!(!fused.restarted_from_prior);
+    let is_same = |after: Gaussian| {
+        (&after.mean - &before.mean).amax() < 1e-9
+            && (0..2).all(|j| (after.covariance[(j, j)] - 0.05).abs() < 1e-9)
+    };
+    assert!(is_same(fused.parameters));
+    // The variances of the node have grown to their bound, so it has learnt nothing since its first
+    // message.
+    let last = message(2 + periods, 1, 0.05);
+    station.receive(0, last, at + 1.0).unwrap();
+    assert!(is_same(station.fuse(at + 1.0).parameters));
+}
+
 #[test]
 fn stale_message_is_not_used() {
     let mut station = station(1, FusionRule::default(), FeedbackRule::Marginal);
