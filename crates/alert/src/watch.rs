@@ -16,6 +16,12 @@ use crate::{
     wording::End,
 };
 
+/// Maximum shift of the times of the frames that interrupts no sustain time, in frames.
+///
+/// A busy station of distributed identification skips up to three fusions, and a fusion can be half
+/// a period late. A longer shift is a gap, a step of the clock, or a record that is replayed again.
+const SKIPPED_FRAMES: f64 = 3.5;
+
 /// The decisions on all watched parameters of one structure.
 ///
 /// A watch takes blocks of estimates in order and passes each estimate to the decision of its
@@ -27,6 +33,10 @@ pub struct Watch {
     decisions: Vec<Decision>,
     /// Epoch of the estimates and number of the next one.
     pub(crate) expected: Option<(u64, u64)>,
+    /// Time of frame 0 in the last block, ns. A gap is not detected across a restart, because this
+    /// is not stored.
+    #[serde(skip)]
+    t0_ns: Option<i64>,
     /// Whether measured modes contradict the model. It is set again after a restart.
     #[serde(skip)]
     is_contradicted_by_modes: bool,
@@ -73,12 +83,14 @@ impl Watch {
             parameter_count,
             decisions,
             expected: None,
+            t0_ns: None,
             is_contradicted_by_modes: false,
         }
     }
 
     /// Removes what a checkpoint does not contain.
     pub(crate) fn forget_unstored(&mut self) {
+        self.t0_ns = None;
         self.decisions
             .iter_mut()
             .for_each(Decision::forget_unstored);
@@ -213,7 +225,9 @@ impl Watch {
         let start = (block.header.epoch, block.header.sequence);
         match self.expected {
             Some((epoch, _)) if epoch != start.0 => self.handle_all(&Input::NewSource, alerts),
-            Some(expected) if expected != start => self.handle_all(&Input::Gap, alerts),
+            Some(expected) if expected != start || self.has_shifted(block) => {
+                self.handle_all(&Input::Gap, alerts);
+            }
             Some(_) | None => {}
         }
         for (number, estimate) in block.iter() {
@@ -221,7 +235,17 @@ impl Watch {
             after(self, number);
         }
         self.expected = Some((start.0, start.1 + block.estimates.len() as u64));
+        self.t0_ns = Some(block.t0_ns);
         Ok(())
+    }
+
+    /// Returns `true` if the times of the frames have shifted by more than [`SKIPPED_FRAMES`] since
+    /// the last block.
+    fn has_shifted(&self, block: &EstimateBlock) -> bool {
+        self.t0_ns.is_some_and(|t0_ns| {
+            let shift_s = block.t0_ns.abs_diff(t0_ns) as f64 * 1e-9;
+            shift_s * block.sampling_rate_hz > SKIPPED_FRAMES
+        })
     }
 
     /// Processes an acknowledgement of the alerts of one parameter. Returns `false` if there was

@@ -276,6 +276,27 @@ fn missing_estimates_and_another_epoch_reset_a_pending_alert() {
 }
 
 #[test]
+fn times_that_shift_by_a_gap_reset_a_pending_alert() {
+    const FRAME_NS: i64 = 10_000_000;
+    for (frames, expected) in [
+        (3, AlertState::Raised),
+        (-3, AlertState::Pending),
+        (4, AlertState::Pending),
+        (360_000, AlertState::Pending),
+        (-360_000, AlertState::Pending),
+    ] {
+        let mut watch = watch();
+        let soft = vec![estimate([0.86, 1.0], 0.01, Phase::Working); 3];
+        alerts_of(&mut watch, &block(1, 0, soft.clone()));
+        let mut next = block(1, 3, soft);
+        next.t0_ns = frames * FRAME_NS;
+        let last = alerts_of(&mut watch, &next).pop();
+        let state = last.map_or(AlertState::Pending, |alert| alert.state);
+        assert_eq!(state, expected, "{frames} frames");
+    }
+}
+
+#[test]
 fn block_of_another_structure_is_refused_and_changes_nothing() {
     let mut watch = watch();
     let before = watch.clone();
