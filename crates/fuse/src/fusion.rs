@@ -8,10 +8,12 @@ use crate::error::FuseError;
 use crate::node::{Node, SILENT_FUSIONS};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Excluded, FeedbackMessage, Header,
-    LocalMessage, MotionNumbers, Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay,
-    StreamState, ToldMotion,
+    LocalMessage, MotionNumbers, Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase,
+    StreamState, TimeGrid, ToldMotion,
 };
-use spandrel_filter::fusion::{CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, Station};
+use spandrel_filter::fusion::{
+    CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, NodeReport, Station,
+};
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
 
@@ -32,6 +34,16 @@ const FIRST_MESSAGE_AT: f64 = 0.5;
 /// estimates have not aged by the whole step.
 const LONGEST_LOOK: f64 = 3.0;
 
+/// Maximum difference between the time of a fusion and the time that its number states, in fusion
+/// periods.
+///
+/// Jitter of the station's clock stays below. After a gap, a skipped fusion or a step of the clock,
+/// the numbers follow the time.
+const OFF_ITS_TIME: f64 = 0.5;
+
+/// Earliest fusion period. `i64::MIN` marks nodes that ended without an estimate.
+const FIRST_INDEX: i64 = i64::MIN + 1;
+
 /// An input of [`Fusion`], the logic of a station without I/O.
 #[derive(Debug, Clone, PartialEq)]
 pub enum FusionInput {
@@ -51,6 +63,14 @@ pub enum FusionInput {
     Present(Vec<bool>),
     /// Time of the station's clock, in ns since the Unix epoch.
     Tick(i64),
+}
+
+/// A message of a node, as in [`FusionInput::Local`].
+#[derive(Debug)]
+struct Local {
+    message: LocalMessage,
+    bytes: u64,
+    arrived_ns: i64,
 }
 
 /// An output of [`Fusion`], the logic of a station without I/O.
@@ -87,7 +107,7 @@ pub struct Fusion {
     parameters: Vec<Name>,
     rate_hz: f64,
     distance_limit: Option<f64>,
-    /// Time of fusion 0, in ns.
+    /// Time of fusion 0 by which the numbers state the present times, in ns.
     t0_ns: Option<i64>,
     /// Station clock at the start of the first message's period, in ns.
     begun_ns: Option<i64>,
@@ -101,13 +121,16 @@ pub struct Fusion {
     /// Earliest period of replaying nodes that is not fused yet. `None` after the last
     /// representable period.
     next_index: Option<i64>,
+    /// First messages of nodes that replay a record again, until the others have ended the former
+    /// replay.
+    again: BTreeMap<usize, Local>,
     last_ns: Option<i64>,
     ended: bool,
     /// `true` if nodes have been present and none is now.
     all_nodes_gone: bool,
     /// `false` from the event that nothing can be fused until the event that fusion has resumed.
     healthy: bool,
-    /// Number of consecutive fusions without a usable estimate.
+    /// Number of consecutive fusions without an estimate from new samples.
     without: u64,
     /// Whether messages contain variances instead of full covariances.
     variances: bool,
@@ -175,8 +198,8 @@ impl Fusion {
             looked_ns: None,
             done: 0,
             origin: None,
-            // `i64::MIN` marks nodes that ended without an estimate.
-            next_index: Some(i64::MIN + 1),
+            next_index: Some(FIRST_INDEX),
+            again: BTreeMap::new(),
             last_ns: None,
             ended: false,
             all_nodes_gone: false,
@@ -198,7 +221,19 @@ impl Fusion {
                 bytes,
                 arrived_ns,
             } => {
-                self.take(node, *message, bytes, arrived_ns, outputs);
+                let local = Local {
+                    message: *message,
+                    bytes,
+                    arrived_ns,
+                };
+                if self.is_again(node, &local.message) {
+                    self.again.insert(node, local);
+                } else {
+                    if local.message.density.is_some() {
+                        self.again.remove(&node);
+                    }
+                    self.take(node, local, outputs);
+                }
             }
             FusionInput::Present(present) => self.note_presence(&present, outputs),
             FusionInput::Tick(now_ns) => {
@@ -218,6 +253,7 @@ impl Fusion {
                 }
             }
         }
+        self.replay_again(outputs);
         while let Some(index) = self.complete_index() {
             self.next_index = index.checked_add(1);
             let times = self
@@ -340,12 +376,8 @@ impl Fusion {
     /// A single live node is enough. It does not wait for nodes that replay a record, so that no
     /// message of one node can block the others.
     fn is_live(&self) -> bool {
-        let heard = |pace| {
-            self.nodes
-                .iter()
-                .filter(move |node| node.heard_ever && node.pace == pace)
-        };
-        heard(Pace::Live).any(|node| !node.is_over()) || heard(Pace::Replayed).next().is_none()
+        let has_replayed = |node: &Node| node.heard_ever && node.pace == Pace::Replayed;
+        self.nodes.iter().any(Node::is_live) || !self.nodes.iter().any(has_replayed)
     }
 
     /// Returns [`Pace::Live`] while a live node has not ended, or if no node replays a record.
@@ -375,17 +407,52 @@ impl Fusion {
                 .map(|(index, _)| index)
                 .filter(|index| *index >= next)
         };
-        let waited_for = |node: &&Node| !node.ended && (node.present || !node.heard_ever);
-        let all_are_there = self
-            .nodes
-            .iter()
-            .filter(waited_for)
-            .all(|node| reached(node).is_some());
+        let all_are_there = self.waited_for().all(|node| reached(node).is_some());
         self.nodes
             .iter()
             .filter_map(reached)
             .min()
             .filter(|_| all_are_there)
+    }
+
+    /// Returns `true` if a message begins a record that the node has replayed before, or an earlier
+    /// one.
+    fn is_again(&self, position: usize, message: &LocalMessage) -> bool {
+        let goes_back = |node: &Node| {
+            let number = self.number(message.header.time_ns);
+            message.header.epoch == node.epoch && node.last.is_some_and(|(last, _)| number < last)
+        };
+        message.pace == Pace::Replayed
+            && message.density.is_some()
+            && self.nodes.get(position).is_some_and(goes_back)
+            && !self.station.has_received(position, message.header.sequence)
+            && !self.nodes.iter().any(Node::is_live)
+    }
+
+    /// Begins the fusions of a record that the nodes replay again, once no node is still in the
+    /// former replay.
+    fn replay_again(&mut self, outputs: &mut Vec<Output>) {
+        if self.again.is_empty() || self.waited_for().next().is_some() {
+            return;
+        }
+        for node in &mut self.nodes {
+            (node.last, node.ended) = (None, false);
+        }
+        (self.next_index, self.origin) = (Some(FIRST_INDEX), None);
+        self.station.restart_clock();
+        for (position, local) in std::mem::take(&mut self.again) {
+            self.take(position, local, outputs);
+        }
+    }
+
+    /// Returns the nodes for which a fusion of a replayed record waits. A node that replays the
+    /// record again sends no further message of the former replay.
+    fn waited_for(&self) -> impl Iterator<Item = &Node> {
+        let nodes = self.nodes.iter().enumerate();
+        let waited_for = nodes.filter(|(position, node)| {
+            !node.ended && (node.present || !node.heard_ever) && !self.again.contains_key(position)
+        });
+        waited_for.map(|(_, node)| node)
     }
 
     /// Records which nodes are present.
@@ -419,14 +486,12 @@ impl Fusion {
         }
     }
 
-    fn take(
-        &mut self,
-        position: usize,
-        mut message: LocalMessage,
-        bytes: u64,
-        arrived_ns: i64,
-        outputs: &mut Vec<Output>,
-    ) {
+    fn take(&mut self, position: usize, local: Local, outputs: &mut Vec<Output>) {
+        let Local {
+            mut message,
+            bytes,
+            arrived_ns,
+        } = local;
         self.follow_clock(arrived_ns);
         let number = self.number(message.header.time_ns);
         if message.density.is_some() {
@@ -510,8 +575,13 @@ impl Fusion {
 
     fn fuse(&mut self, at: f64, time_ns: i64, outputs: &mut Vec<Output>) {
         let fused = self.station.fuse(at);
-        let t0_ns = *self.t0_ns.get_or_insert(time_ns);
+        let is_measured =
+            |(node, report): (&Node, &NodeReport)| report.is_used() && node.has_samples();
+        // A node whose sensors have failed sends predictions. They contain nothing new.
+        let is_prediction = !self.nodes.iter().zip(&fused.nodes).any(is_measured);
+        self.without = if is_prediction { self.without + 1 } else { 0 };
         let number = self.done;
+        let t0_ns = self.follow_time(number, time_ns);
         self.done += 1;
         self.last_ns = Some(time_ns);
         let estimate = Estimate {
@@ -524,7 +594,12 @@ impl Fusion {
             log_evidence: 0.0,
             used_channels: 0,
             flags: EstimateFlags {
-                prediction_only: fused.used == 0,
+                phase: match self.without {
+                    SILENT_FUSIONS.. => Phase::ResponseSilent,
+                    _ => Phase::Working,
+                },
+                restarted: fused.restarted_from_prior,
+                prediction_only: is_prediction,
                 ..EstimateFlags::working()
             },
             excluded: Excluded::None,
@@ -546,6 +621,17 @@ impl Fusion {
         }
         self.answer(&fused, number, time_ns, outputs);
         self.tell_nodes(&fused, time_ns, outputs);
+    }
+
+    /// Returns the time of fusion 0 by which fusion `number` is at `time_ns`.
+    fn follow_time(&mut self, number: u64, time_ns: i64) -> i64 {
+        let since_ns = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.time_ns(number));
+        let own_ns = time_ns.saturating_sub(since_ns);
+        let t0_ns = self.t0_ns.get_or_insert(own_ns);
+        if own_ns.abs_diff(*t0_ns) as f64 * 1e-9 * self.rate_hz > OFF_ITS_TIME {
+            *t0_ns = own_ns;
+        }
+        *t0_ns
     }
 
     fn answer(&self, fused: &Fused, number: u64, time_ns: i64, outputs: &mut Vec<Output>) {
@@ -619,7 +705,7 @@ impl Fusion {
         }
         self.show_nodes(time_ns, outputs);
         if fused.restarted_from_prior {
-            let why = "a fused parameter was outside its plausible range".to_owned();
+            let why = "a fused parameter was invalid or outside its plausible range".to_owned();
             self.tell(
                 EventKind::Restart,
                 "fuse",
@@ -645,17 +731,16 @@ impl Fusion {
         }
         // A single fusion without data is not an event, because all messages can be one period
         // late.
-        self.without = if fused.used > 0 { 0 } else { self.without + 1 };
         let told = match (self.healthy, self.without) {
             (true, SILENT_FUSIONS..) => Some((
                 EventKind::Gap,
                 "nothing to fuse",
-                "no node has sent usable data",
+                "no node has sent an estimate from new samples",
             )),
             (false, 0) => Some((
                 EventKind::NodeBack,
                 "nodes are fused again",
-                "usable data have arrived",
+                "an estimate from new samples has arrived",
             )),
             (true, _) | (false, _) => None,
         };

@@ -120,6 +120,16 @@ impl Node {
         self.ended || !self.present
     }
 
+    /// Returns `true` if the node sends live estimates and more are expected.
+    pub(crate) fn is_live(&self) -> bool {
+        self.heard_ever && self.pace == Pace::Live && !self.is_over()
+    }
+
+    /// Returns `true` if the messages since the last fusion contain information from samples.
+    pub(crate) fn has_samples(&self) -> bool {
+        self.samples > 0
+    }
+
     /// Returns the names of the channels for which the node reports outliers.
     pub(crate) fn channel_names(&self) -> impl Iterator<Item = &Name> {
         self.channels.iter().map(|channel| &channel.name)
@@ -198,7 +208,8 @@ impl Node {
                 None
             };
         }
-        let has_samples = std::mem::take(&mut self.samples) > 0;
+        let has_samples = self.has_samples();
+        self.samples = 0;
         self.report = report;
         if report.heard && has_samples || is_over {
             let quiet = std::mem::take(&mut self.quiet);
@@ -230,7 +241,10 @@ impl Node {
             (true, ..) => "its worker has no samples and sends predictions",
             (false, false, false) => "it has not sent anything yet, and its worker is not running",
             (false, true, false) => "its worker is not running: its liveliness token is missing",
-            (false, _, true) => "its worker is running, but has sent nothing that can be fused",
+            (false, _, true) => {
+                "its worker is running, but its messages were rejected or its samples were \
+                 dropped; see its status"
+            }
         }
     }
 

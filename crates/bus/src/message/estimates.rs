@@ -21,8 +21,8 @@ pub enum Phase {
     ExcitationSilent,
     /// A sensor in use is probably faulty, so that the estimate is unreliable.
     SensorInDoubt,
-    /// No sensor of the response has delivered a usable sample for a second, so that the estimate is a
-    /// prediction.
+    /// No sensor of the response has delivered a usable sample for a second, or in distributed
+    /// identification for three fusions. The estimate is a prediction.
     ResponseSilent,
 }
 

@@ -696,6 +696,152 @@ fn node_without_samples_is_silent_although_its_worker_sends() {
     assert_eq!(health(&outputs, 5).last(), Some(&NodeHealth::Silent));
 }
 
+/// Regression: predictions of nodes whose sensors had all failed counted as measured, and alerts
+/// were decided by them.
+#[test]
+fn estimates_without_samples_of_any_node_are_predictions() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
+    let sends = |_, second| {
+        let samples = if (5..10).contains(&second) { 0 } else { 250 };
+        Some(LocalMessage {
+            samples,
+            ..message(3, second, Pace::Live, 0.95)
+        })
+    };
+    let outputs = live(&mut fusion, 1..12, sends);
+    let flags = estimates(&outputs)
+        .into_iter()
+        .map(|block| block.estimates[0].flags);
+    let found: Vec<_> = flags
+        .map(|flags| (flags.prediction_only, flags.phase))
+        .collect();
+    let mut expected = [(false, Phase::Working); 11];
+    expected[4..6].fill((true, Phase::Working));
+    expected[6..9].fill((true, Phase::ResponseSilent));
+    assert_eq!(found, expected);
+    let told: Vec<_> = events(&outputs)
+        .into_iter()
+        .filter(|(_, subject, _)| *subject == "fuse")
+        .collect();
+    assert_eq!(
+        told,
+        [
+            (EventKind::Gap, "fuse", 7),
+            (EventKind::NodeBack, "fuse", 10)
+        ]
+    );
+}
+
+/// Regression: the flag was never set, so that the prior cleared alerts.
+#[test]
+fn estimate_of_a_station_that_restarts_from_its_prior_is_marked() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
+    let implausible = |node, second| {
+        let mut message = sends_certain(node, second);
+        if second == 3 {
+            message.density.as_mut().unwrap().mean.fill(50.0);
+        }
+        Some(message)
+    };
+    let outputs = live(&mut fusion, 1..5, implausible);
+    let restarted = estimates(&outputs)
+        .into_iter()
+        .map(|block| block.estimates[0].flags.restarted);
+    assert_eq!(restarted.collect::<Vec<_>>(), [false, false, true, false]);
+}
+
+/// Returns the message of a node that is certain of its parameters and uses each reply at once.
+fn sends_certain(_: usize, second: u64) -> LocalMessage {
+    let mut message = message(3, second, Pace::Live, 0.95);
+    let density = message.density.as_mut().unwrap();
+    density
+        .covariance
+        .iter_mut()
+        .for_each(|entry| *entry *= 1e-3);
+    let lineage = density.lineage.as_mut().unwrap();
+    lineage.answers.extend((1..second).next_back());
+    message
+}
+
+/// Returns the times of the fusions (s) that the blocks state, and those that the numbers of their
+/// estimates state.
+fn times(outputs: &[Output]) -> Vec<(i64, i64)> {
+    let blocks = estimates(outputs).into_iter();
+    let with_estimate = blocks.filter(|block| !block.estimates.is_empty());
+    let times = with_estimate.map(|block| {
+        let of_number = block.grid().unwrap().time_ns(block.header.sequence);
+        (block.header.time_ns / SECOND_NS, of_number / SECOND_NS)
+    });
+    times.collect()
+}
+
+fn replay(fusion: &mut Fusion, periods: impl IntoIterator<Item = (u64, i64)>) -> Vec<Output> {
+    let mut outputs = Vec::new();
+    for (index, second) in periods {
+        for node in 0..16 {
+            let mut message = message(3, index, Pace::Replayed, 0.95);
+            message.header.time_ns = second * SECOND_NS;
+            outputs.extend(run(fusion, [local(node, message)]));
+        }
+    }
+    outputs
+}
+
+/// Regression: after a gap of a record, estimates and alerts stated times within the gap.
+#[test]
+fn numbers_state_the_times_of_their_fusions_after_a_gap() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
+    let outputs = replay(&mut fusion, [(1, 1), (2, 2), (7203, 7203), (7204, 7204)]);
+    let expected = [1, 2, 7203, 7204].map(|second| (second, second));
+    assert_eq!(times(&outputs), expected);
+}
+
+/// Regression: the station waited for later periods than those of the second replay.
+#[test]
+fn record_that_is_replayed_again_is_fused_again() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
+    let ended = |node, index| {
+        let mut last = message(3, index, Pace::Replayed, 0.95);
+        (last.density, last.state) = (None, StreamState::Ended);
+        local(node, last)
+    };
+    replay(&mut fusion, (1..4).map(|index| (index, index as i64)));
+    // Nodes 1 to 15 have ended and begin again before node 0 has ended.
+    run(&mut fusion, (1..16).map(|node| ended(node, 3)));
+    let again = |node| {
+        let mut first = message(3, 4, Pace::Replayed, 0.95);
+        first.header.time_ns = SECOND_NS;
+        local(node, first)
+    };
+    let outputs = run(&mut fusion, (1..16).map(again));
+    assert_eq!(times(&outputs), [], "node 0 is in the former replay");
+    run(&mut fusion, [ended(0, 3)]);
+    let outputs = run(&mut fusion, [again(0)]);
+    assert_eq!(times(&outputs), [(1, 1)]);
+    let used = outputs.iter().find_map(|output| match output {
+        Output::Feedback(0, feedback) => Some(feedback.nodes),
+        _ => None,
+    });
+    assert_eq!(used, Some(16));
+    let outputs = replay(&mut fusion, [(5, 2), (6, 3), (7, 4)]);
+    assert_eq!(times(&outputs), [2, 3, 4].map(|second| (second, second)));
+}
+
+#[test]
+fn repeated_message_begins_no_new_replay() {
+    let mut fusion = Fusion::new(&structure(), "fuse", 7).unwrap();
+    run(&mut fusion, [FusionInput::Present(vec![true; 16])]);
+    replay(&mut fusion, (1..4).map(|index| (index, index as i64)));
+    run(&mut fusion, [local(0, message(3, 1, Pace::Replayed, 0.95))]);
+    assert_eq!(fusion.refused()["refused-old"], 1);
+    let outputs = replay(&mut fusion, [(4, 4)]);
+    assert_eq!(times(&outputs), [(4, 4)]);
+}
+
 #[test]
 fn return_of_an_excluded_node_is_reported() {
     let file = FILE.replace("detector = \"none\"", "detector = \"one-at-a-time\"");
