@@ -33,6 +33,10 @@ pub use state::NodeIdentificationState;
 /// changes.
 const OFF_ITS_PLACE: f64 = 0.75;
 
+/// Time in seconds by which samples must be earlier than the last sample to show that their clock
+/// was set back. Smaller steps drop the samples until the clock has caught up.
+const SET_BACK_S: f64 = 2.0;
+
 /// Inputs of the core.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NodeInput {
@@ -70,6 +74,8 @@ pub struct NodeIdentification {
     waiting: VecDeque<SampleBlock>,
     observation_channels: Vec<usize>,
     excitation_channels: Vec<Option<usize>>,
+    /// Means of the excitation components, for those that no channel measures.
+    mean_excitation: Vec<f64>,
     ranges: Vec<f64>,
     /// Scratch space: the measured values of one sample.
     sample: Vec<f64>,
@@ -170,6 +176,7 @@ impl NodeIdentification {
             waiting: VecDeque::new(),
             observation_channels: own.observation_channels().to_vec(),
             excitation_channels: own.excitation_channels().to_vec(),
+            mean_excitation: own.mean_excitation().as_slice().to_vec(),
             ranges: node
                 .channels()
                 .iter()
@@ -199,19 +206,53 @@ impl NodeIdentification {
             NodeInput::Feedback(feedback) => self.take_feedback(&feedback),
             NodeInput::NoAnswer => self.stop_waiting(),
         }
-        while self.awaits().is_none() {
-            let Some(block) = self.waiting.pop_front() else {
-                return;
-            };
+        while self.awaits().is_none()
+            && let Some(block) = self.next_block()
+        {
             self.take_block(block, outputs);
         }
+    }
+
+    /// Returns the next block to filter. `None` if there is none, or if its time has jumped and the
+    /// block after it, which can confirm the jump, has not arrived.
+    ///
+    /// Drops blocks whose jump the block after them contradicts.
+    fn next_block(&mut self) -> Option<SampleBlock> {
+        loop {
+            let block = self.waiting.pop_front()?;
+            if block.state == StreamState::Ended || !self.has_jumped(&block) {
+                return Some(block);
+            }
+            let Some(next) = self.waiting.front() else {
+                self.waiting.push_front(block);
+                return None;
+            };
+            let continues_without = next.header.epoch == block.header.epoch
+                && !next.samples.is_empty()
+                && !self.has_jumped(next);
+            if !continues_without {
+                return Some(block);
+            }
+            *self.dropped.entry("samples-of-a-wrong-time").or_default() +=
+                spandrel_bus::Block::count(&block);
+        }
+    }
+
+    /// Returns `true` if a block follows after a gap of more than [`BRIDGED_GAP_S`], or is earlier
+    /// than the last sample by more than [`SET_BACK_S`].
+    fn has_jumped(&self, block: &SampleBlock) -> bool {
+        self.stream.is_some_and(|stream| {
+            let is_of_epoch = stream.epoch == block.header.epoch && !block.samples.is_empty();
+            let gap_s = seconds_since(stream.last_ns, block.header.time_ns) - 1.0 / self.rate_hz;
+            is_of_epoch && (gap_s > BRIDGED_GAP_S || stream.is_set_back(block))
+        })
     }
 
     /// Filters samples from before this run without reports to the station.
     fn catch_up(&mut self, block: SampleBlock, outputs: &mut Vec<NodeOutput>) {
         let mut found = Vec::new();
         self.waiting.push_back(block);
-        while let Some(block) = self.waiting.pop_front() {
+        while let Some(block) = self.next_block() {
             self.take_block(block, &mut found);
             self.stop_waiting();
         }
@@ -278,7 +319,8 @@ impl NodeIdentification {
             return;
         }
         if !self.find_place(&mut block, outputs) {
-            return;
+            // The end of the samples still counts.
+            block.samples.clear();
         }
         let Some(grid) = block.grid() else { return };
         let count = (block.samples.len() / channels.max(1)) as u64;
@@ -312,13 +354,17 @@ impl NodeIdentification {
             .stream
             .filter(|stream| stream.epoch == block.header.epoch)
         else {
-            self.begin_stream(block, outputs);
+            self.begin_stream(block, "its source of samples started a new epoch", outputs);
             return true;
         };
         if block.samples.is_empty() {
             return true;
         }
-        let steps = (time_ns.saturating_sub(stream.last_ns) as f64 * 1e-9 * self.rate_hz).round();
+        if stream.is_set_back(block) {
+            self.begin_stream(block, "the clock of its samples was set back", outputs);
+            return true;
+        }
+        let steps = (seconds_since(stream.last_ns, time_ns) * self.rate_hz).round();
         if steps < 1.0 {
             *self.dropped.entry("samples-out-of-order").or_default() += 1;
             return false;
@@ -367,8 +413,8 @@ impl NodeIdentification {
 
     /// Finds the position of an epoch's first sample within its fusion period.
     ///
-    /// If the source has restarted, the time in between is skipped.
-    fn begin_stream(&mut self, block: &SampleBlock, outputs: &mut Vec<NodeOutput>) {
+    /// If the source has restarted, the time in between is skipped. `why` states the cause.
+    fn begin_stream(&mut self, block: &SampleBlock, why: &str, outputs: &mut Vec<NodeOutput>) {
         let (time_ns, period) = (block.header.time_ns, self.filter.steps_per_period());
         let nearest = TimeGrid::new(0, self.rate_hz).map_or(0, |grid| grid.nearest(time_ns));
         match self.stream {
@@ -383,7 +429,6 @@ impl NodeIdentification {
                     u64::try_from(ahead)
                         .unwrap_or_else(|_| ahead.rem_euclid(period as i64).unsigned_abs()),
                 );
-                let why = "its source of samples started a new epoch";
                 outputs.push(self.event(
                     time_ns,
                     EventKind::Restart,
@@ -430,8 +475,9 @@ impl NodeIdentification {
         for (value, channel) in self.observations.iter_mut().zip(&self.observation_channels) {
             *value = self.sample[*channel];
         }
-        for (value, channel) in self.excitation.iter_mut().zip(&self.excitation_channels) {
-            *value = channel.map_or(0.0, |channel| self.sample[channel]);
+        let known = self.excitation_channels.iter().zip(&self.mean_excitation);
+        for (value, (channel, mean)) in self.excitation.iter_mut().zip(known) {
+            *value = channel.map_or(*mean, |channel| self.sample[channel]);
         }
         self.done += 1;
         self.sampled += u64::from(self.sample.iter().any(|value| !value.is_nan()));
@@ -597,6 +643,18 @@ impl NodeIdentification {
             why: why.to_owned(),
         })
     }
+}
+
+impl Stream {
+    /// Returns `true` if new samples are earlier than the last sample by more than [`SET_BACK_S`].
+    fn is_set_back(&self, block: &SampleBlock) -> bool {
+        block.header.sequence >= self.next
+            && seconds_since(self.last_ns, block.header.time_ns) < -SET_BACK_S
+    }
+}
+
+fn seconds_since(before_ns: i64, time_ns: i64) -> f64 {
+    time_ns.saturating_sub(before_ns) as f64 * 1e-9
 }
 
 fn compressed((mean, variance): (Vec<f64>, Vec<f64>)) -> CompressedMotion {

@@ -339,6 +339,140 @@ fn restarted_sensor_keeps_the_same_periods() {
     );
 }
 
+/// Returns the samples of [`samples`] by a clock that is `ahead_s` ahead.
+fn ahead(from: u64, to: u64, ahead_s: i64) -> SampleBlock {
+    let mut block = samples(from, to, Pace::Live);
+    block.header.time_ns += ahead_s * 1_000_000_000;
+    block
+}
+
+/// Regression: after one block an hour ahead, the worker dropped all samples for an hour.
+#[test]
+fn one_block_of_a_wrong_time_is_dropped() {
+    let mut worker = worker();
+    let blocks = [
+        ahead(0, 50, 0),
+        ahead(50, 60, 3600),
+        ahead(60, 100, 0),
+        ahead(100, 110, -600),
+        ahead(110, 150, 0),
+    ];
+    let sent = run(&mut worker, blocks.map(NodeInput::Samples));
+    let times = sent
+        .iter()
+        .map(|message| message.header.time_ns / 40_000_000);
+    assert_eq!(times.collect::<Vec<_>>(), [24, 49, 74, 99, 124, 149]);
+    let dropped = BTreeMap::from([("samples-of-a-wrong-time", 20), ("missing-samples", 20)]);
+    assert_eq!(*worker.dropped(), dropped);
+}
+
+/// Regression: after the clock was set back, the worker dropped all samples until it had caught up.
+#[test]
+fn samples_after_a_step_of_the_clock_are_used() {
+    for step_s in [-600, 600] {
+        let mut worker = worker();
+        let blocks = [
+            ahead(0, 50, 0),
+            ahead(50, 75, step_s),
+            ahead(75, 100, step_s),
+        ];
+        let mut outputs = Vec::new();
+        for block in blocks {
+            worker.handle(NodeInput::Samples(block), &mut outputs);
+        }
+        let mut sent = Vec::new();
+        let mut events = Vec::new();
+        for output in outputs {
+            match output {
+                NodeOutput::Local(message) => sent.push(message.header.time_ns / 40_000_000),
+                NodeOutput::Event(event) => events.push(event.kind),
+            }
+        }
+        assert_eq!(sent, [24, 49, 74 + 25 * step_s, 99 + 25 * step_s]);
+        let expected = if step_s < 0 {
+            EventKind::Restart
+        } else {
+            EventKind::Gap
+        };
+        assert_eq!(events, [expected], "{step_s} s");
+    }
+}
+
+#[test]
+fn last_block_after_a_long_gap_is_used() {
+    let mut worker = worker();
+    let mut last = ahead(50, 75, 3600);
+    last.state = StreamState::Ended;
+    let blocks = [ahead(0, 50, 0), last];
+    let sent = run(&mut worker, blocks.map(NodeInput::Samples));
+    assert_eq!(sent.len(), 4, "three estimates and the end");
+    assert_eq!(sent[3].state, StreamState::Ended);
+}
+
+/// Regression: the filter of a node took the mean of a force field as 0. It then explained the
+/// static deflection by a loss of stiffness, or restarted each second.
+#[test]
+fn static_deflection_under_a_mean_force_is_no_loss_of_stiffness() {
+    let text = r#"
+        [structure]
+        name = "wind"
+        sampling-rate-hz = 50
+        identification = "distributed"
+
+        [model]
+        kind = "shear-building"
+        storeys = 1
+        mass-kg = 1e5
+        stiffness-n-per-m = 4e7
+
+        [damping]
+        kind = "rayleigh"
+        alpha-per-s = 0.1
+        beta-s = 0.001
+        known = true
+
+        [[parameter]]
+        name = "storey-1"
+        scales = "stiffness"
+        of = ["storey-1"]
+        std = 0.2
+
+        [[excitation]]
+        name = "wind"
+        kind = "force-field"
+        dofs = "all"
+        mean = [20000]
+        std = [400]
+        correlation-length = 2
+
+        [[node]]
+        name = "n1"
+        [[node.channel]]
+        name = "d1"
+        quantity = "displacement"
+        dof = "floor-1"
+        unit = "m"
+        noise-std = 2e-5
+
+        [filter]
+        displacement-std-m = 1e-3
+        velocity-std-m-per-s = 1e-2
+    "#;
+    let structure = Structure::parse(text, Path::new("wind.toml")).unwrap();
+    let mut worker = NodeIdentification::new(&structure, 0, 5).unwrap();
+    let deflection_m = 20_000.0 / 4e7;
+    let block = SampleBlock {
+        sampling_rate_hz: 50.0,
+        channels: 1,
+        samples: vec![deflection_m; 500],
+        ..samples(0, 0, Pace::Live)
+    };
+    run(&mut worker, [NodeInput::Samples(block)]);
+    let stiffness = worker.filter().filter().parameters().mean[0];
+    assert_eq!(worker.restarts(), 0, "stiffness {stiffness}");
+    assert!((stiffness - 1.0).abs() < 0.01, "{stiffness}");
+}
+
 /// Regression: the full triangle was sent although the file specified variances alone.
 #[test]
 fn message_contains_only_variances_if_the_file_requests_it() {
