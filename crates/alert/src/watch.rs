@@ -107,7 +107,7 @@ impl Watch {
         model: Model,
         alerts: &mut Vec<Alert>,
     ) {
-        self.expected = former.expected;
+        (self.expected, self.t0_ns) = (former.expected, former.t0_ns);
         let mut left: Vec<Option<&Decision>> = former.decisions.iter().map(Some).collect();
         let mut heirs: Vec<Option<&Decision>> = vec![None; self.decisions.len()];
         // Equal rules are matched first, so that a changed order or additional rules have no

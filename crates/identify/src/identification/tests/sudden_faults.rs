@@ -37,6 +37,9 @@ fn wrong_structure() -> Structure {
     of_text(with_wrong_damping, 1).0
 }
 
+/// Changes the values of a sensor: receives the number of the frame and the former values.
+type Change<'a> = &'a dyn Fn(usize, &[f64]) -> f64;
+
 fn of_kind(outputs: &[Output], kind: EventKind) -> Vec<&Event> {
     let mut events = events(outputs);
     events.retain(|event| event.kind == kind);
@@ -47,7 +50,7 @@ fn of_kind(outputs: &[Output], kind: EventKind) -> Vec<&Event> {
 #[test]
 fn sudden_fault_is_named_within_seconds_and_the_parameters_stay() {
     let structure = wrong_structure();
-    let faults: [(&str, &dyn Fn(usize, &[f64]) -> f64); 5] = [
+    let faults: [(&str, Change<'_>); 5] = [
         ("does not follow the motion of the others", &|_, _| 0.0),
         ("does not follow the motion of the others", &|_, values| {
             values[BEGIN]
