@@ -754,7 +754,7 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
     browser
         .wait(
             "a span that stays",
-            "!document.querySelector('.ranges .back').hidden",
+            "!document.querySelector('.ranges-bar .back').hidden",
         )
         .await;
     let text = "document.querySelector('.range-text').textContent";
@@ -883,7 +883,7 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
     browser
         .wait(
             "the moment",
-            "!document.querySelector('.ranges .back').hidden && document.querySelector('.plot.is-chosen canvas')",
+            "!document.querySelector('.ranges-bar .back').hidden && document.querySelector('.plot.is-chosen canvas')",
         )
         .await;
     browser.screenshot("moment").await;

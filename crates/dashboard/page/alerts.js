@@ -1,6 +1,6 @@
 // Alerts of all structures: current alerts, past changes and acknowledgements.
 
-import { grouped, h, keyed, setAttribute, setText } from "./dom.js";
+import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
 import { SERVICES, STATES, canBeSeen, changedAt, levelOf, natural, place, revisedWords, seenWords, setSentence, time, withMinus } from "./words.js";
 
@@ -180,6 +180,17 @@ export function labelButton(button, { state }, text = t("acknowledge"), textOfCl
   setText(button, state === "cleared" ? textOfCleared : text);
 }
 
+/** Shows that a part is normal by its newest loss, whose words are those of the services. */
+function showNormal(element, { parameter, now }) {
+  const told = `${parameter} ${now}`;
+  if (element.told === told) return;
+  const loss = h("span");
+  setSentence(loss, now);
+  loss.lang = SERVICES;
+  element.replaceChildren(...unbroken(t("is-normal-by-the-newest-value", parameter)), loss);
+  element.told = told;
+}
+
 function updateAlert(parts, alert) {
   const state = STATES[alert.state];
   parts.alert = alert;
@@ -190,7 +201,8 @@ function updateAlert(parts, alert) {
   // The sentence of a normal parameter is as old as its first decision.
   const isNormal = alert.state === "normal" && alert.now;
   setAttribute(parts.why, "lang", isNormal ? null : SERVICES);
-  setSentence(parts.why, isNormal ? t("is-normal-by-the-newest-value", alert.parameter, alert.now) : alert.why);
+  if (isNormal) showNormal(parts.why, alert);
+  else setSentence(parts.why, alert.why);
   parts.now.hidden = !alert.now || isNormal;
   setText(parts.now, alert.now ? t("by-the-newest-value", withMinus(alert.now)) : "");
   setText(parts.when, time(changedAt(alert)));

@@ -180,7 +180,7 @@ export const english = {
   "innovations": "Measured minus predicted",
   "innovations-of": "{0}: measured minus predicted",
   "is-behind": "{0} behind",
-  "is-normal-by-the-newest-value": "{0} is normal by the newest value: {1}",
+  "is-normal-by-the-newest-value": "{0} is normal by the newest value: ",
   "is-per-cent-in-the-second-range": "is {0} % {1} in the second range (95 % interval {2} to {3} % {4})",
   "items-processed": "Items processed",
   "its-offset-drifts": "its offset drifts",

@@ -180,7 +180,7 @@ export const german = {
   "innovations": "Gemessen minus vorhergesagt",
   "innovations-of": "{0}: gemessen minus vorhergesagt",
   "is-behind": "{0} im Rückstand",
-  "is-normal-by-the-newest-value": "{0} ist normal nach dem neuesten Wert: {1}",
+  "is-normal-by-the-newest-value": "{0} ist normal nach dem neuesten Wert: ",
   "is-per-cent-in-the-second-range": "ist im zweiten Zeitraum {0} % {1} (95-%-Intervall {2} bis {3} % {4})",
   "items-processed": "Verarbeitet",
   "its-offset-drifts": "sein Nullpunkt driftet",

@@ -190,7 +190,7 @@ export class SensorsTab {
     const health = HEALTH[sensor.health];
     const { relation, fault } = compared(sensor.compared);
     const { offset, clock } = clockWords(sensor.clock, isReported && !UNHEARD.includes(sensor.health));
-    const isExcitation = this.page.about.is_filtered && about?.excitation && health.level === "normal";
+    const isExcitation = this.page.about.is_filtered && about?.excitation && health.level !== "warning";
     const lastUsed = sensor.last_used_s == null ? (isExcitation ? t("as-excitation") : "–") : time(sensor.last_used_s);
     element.dataset.level = health.level;
     element.dataset.channel = sensor.channel;
