@@ -355,7 +355,8 @@ fn options_without_effect_are_rejected() {
 fn particles_of_a_large_model_come_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let (structure, record) = (example("demo.toml"), folder.path().join("demo.csv"));
-    simulate(&structure, &record, "3");
+    // The particles start once the noise level is trained.
+    simulate(&structure, &record, "15");
     let output = estimate(
         &structure,
         &record,

@@ -31,7 +31,7 @@ pub enum EstimatorState {
     /// State of several models.
     Classes(ClassBankState),
     /// State of particles.
-    Particles(ParticleMemory),
+    Particles(Box<ParticleMemory>),
 }
 
 impl Estimator {
@@ -159,7 +159,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => EstimatorState::Filter(filter.state().clone()),
             Self::Classes(bank) => EstimatorState::Classes(bank.state()),
-            Self::Particles(particles) => EstimatorState::Particles(particles.state()),
+            Self::Particles(particles) => EstimatorState::Particles(Box::new(particles.state())),
         }
     }
 
@@ -173,7 +173,7 @@ impl Estimator {
             (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),
             (Self::Classes(bank), EstimatorState::Classes(state)) => bank.restore(state),
             (Self::Particles(particles), EstimatorState::Particles(state)) => {
-                particles.restore(state)
+                particles.restore(*state)
             }
             (Self::Filter(_) | Self::Classes(_) | Self::Particles(_), _) => {
                 let what =

@@ -475,8 +475,8 @@ pub enum AppError {
     },
     /// The record ended before any particle was drawn.
     #[error(
-        "--warm-up is {warm_up_s} s, must be shorter than the record of {record_s} s; no particle \
-         was drawn"
+        "--warm-up is {warm_up_s} s, must be shorter than the record of {record_s} s, as must the \
+         training of the noise levels; no particle was drawn"
     )]
     WarmUpTooLong {
         /// Time for which a Kalman filter runs first (s).

@@ -42,11 +42,10 @@ pub struct FigureReport {
 }
 
 impl FigureReport {
-    /// Returns `true` if the figure misses its requirement and no reason is known, or if a number could
-    /// not be determined.
+    /// Returns `true` if the figure misses its requirement and no reason is known.
     #[must_use]
     pub fn is_surprise(&self) -> bool {
-        !self.passed && (self.known_miss.is_none() || self.measured.contains(&None))
+        !self.passed && self.known_miss.is_none()
     }
 }
 
