@@ -25,13 +25,17 @@ pub enum Estimator {
 
 /// The state of an estimator between two frames, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one of them exists per structure, and it lives in a checkpoint only"
+)]
 pub enum EstimatorState {
     /// State of one model.
     Filter(FilterState),
     /// State of several models.
     Classes(ClassBankState),
     /// State of particles.
-    Particles(Box<ParticleMemory>),
+    Particles(ParticleMemory),
 }
 
 impl Estimator {
@@ -159,7 +163,7 @@ impl Estimator {
         match self {
             Self::Filter(filter) => EstimatorState::Filter(filter.state().clone()),
             Self::Classes(bank) => EstimatorState::Classes(bank.state()),
-            Self::Particles(particles) => EstimatorState::Particles(Box::new(particles.state())),
+            Self::Particles(particles) => EstimatorState::Particles(particles.state()),
         }
     }
 
@@ -173,7 +177,7 @@ impl Estimator {
             (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),
             (Self::Classes(bank), EstimatorState::Classes(state)) => bank.restore(state),
             (Self::Particles(particles), EstimatorState::Particles(state)) => {
-                particles.restore(*state)
+                particles.restore(state)
             }
             (Self::Filter(_) | Self::Classes(_) | Self::Particles(_), _) => {
                 let what =
