@@ -230,11 +230,11 @@ impl Identification {
     }
 
     fn is_excluded(&self, row: usize) -> bool {
-        self.is_faulty(self.observation_channels[row])
+        self.leaves_out(row) || self.is_faulty(self.observation_channels[row])
     }
 
     fn is_faulty(&self, channel: usize) -> bool {
-        let health = self.health(channel);
+        let health = self.check.health()[channel];
         health.is_some_and(|health| health.soundness == Soundness::Faulty)
     }
 

@@ -10,15 +10,13 @@
 //! values. With a wrong model, a sound sensor deviates as well. The trial therefore compares each
 //! deviation with that before the jump.
 
-use super::Identification;
 use super::recent::{Inputs, Recent};
+use super::{Identification, Output};
 use crate::estimator::{Estimator, EstimatorState};
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{EventKind, FitVerdict};
 use spandrel_faults::{ChannelHealth, Fault, Soundness};
 use spandrel_filter::{FilterError, Frame, NoisePhase};
-
-use super::Output;
 
 /// Time between two kept states of the filter, in fundamental periods and in seconds. The longer of the
 /// two counts.
@@ -41,8 +39,10 @@ const BEFORE: f64 = 1.0 / 3.0;
 /// Least growth of the deviation of a faulty sensor.
 const OWN: f64 = 10.0;
 
-/// Largest mean growth of the deviations of the others, if the structure has not changed.
-const OTHERS: f64 = 2.0;
+/// Largest growth of the deviation of any other sensor, if the structure has not changed.
+///
+/// Damage moves the floors beside it most. The mean over many sensors would hide them.
+const OTHERS: f64 = 3.0;
 
 /// Least number of other sensors.
 const LEAST_OTHERS: usize = 2;
@@ -207,8 +207,8 @@ impl Shown {
         let others = (0..self.now.len()).filter(|row| *row != self.row);
         let growths = others.map(|row| self.growth(row));
         let growths: Vec<f64> = growths.filter(|growth| growth.is_finite()).collect();
-        let mean = growths.iter().sum::<f64>() / growths.len() as f64;
-        let others_agree = growths.len() >= LEAST_OTHERS && mean < OTHERS;
+        let others_agree =
+            growths.len() >= LEAST_OTHERS && growths.iter().all(|growth| *growth < OTHERS);
         if others_agree && self.growth(self.row) > OWN {
             (self.faulty, self.open) = (self.faulty + 1, 0);
             let weight = 1.0 / self.faulty as f64;
@@ -379,20 +379,21 @@ impl SuddenFaults {
         });
     }
 
-    /// Compares the values of the rows that are left out with their predictions. Returns the rows that
+    /// Compares the rows that are left out, with their measured `value`, with their predictions. Returns the rows that
     /// are used again.
-    fn compare_left_out(&mut self, values: &[f64], predicted: &[f64]) -> Vec<usize> {
+    fn compare_left_out(&mut self, value: impl Fn(usize) -> f64, predicted: &[f64]) -> Vec<usize> {
         let mut back = Vec::new();
         for (row, entry) in self.state.left_out.iter_mut().enumerate() {
             let Some(left_out) = entry else { continue };
             let weight = 1.0 / self.spans.average;
-            left_out.now.add(weight, values[row], predicted[row]);
+            let measured = value(row);
+            left_out.now.add(weight, measured, predicted[row]);
             let (now, noise) = (left_out.now, self.noise[row]);
             let is_visible = left_out.with_fault * now.predicted > VISIBLE * noise;
             let agrees = now.residual < SOUND * (left_out.before * now.predicted + noise);
             if !agrees {
                 left_out.agrees = 0;
-            } else if is_visible && !values[row].is_nan() {
+            } else if is_visible && !measured.is_nan() {
                 left_out.agrees += 1;
             }
             if left_out.agrees >= self.spans.agreed {
@@ -452,15 +453,9 @@ impl Identification {
         {
             return;
         }
-        let measured: Vec<f64> = self
-            .observation_channels
-            .iter()
-            .map(|channel| self.frame[*channel])
-            .collect();
-        for row in self
-            .sudden
-            .compare_left_out(&measured, self.estimator.predicted())
-        {
+        let value = |row: usize| self.frame[self.observation_channels[row]];
+        let predicted = self.estimator.predicted();
+        for row in self.sudden.compare_left_out(value, predicted) {
             let channel = self.channel_names[self.observation_channels[row]].clone();
             outputs.push(self.event_of(
                 channel.as_str(),
@@ -535,6 +530,11 @@ impl Identification {
         ));
     }
 
+    /// Returns `true` if an observation row is left out because of a sudden fault.
+    pub(super) fn leaves_out(&self, row: usize) -> bool {
+        self.sudden.state.left_out[row].is_some()
+    }
+
     /// Returns `true` if a channel of a frame is left out because of a sudden fault.
     pub(super) fn has_sudden_fault(&self, channel: usize) -> bool {
         self.sudden_fault(channel).is_some()
@@ -570,5 +570,53 @@ impl Identification {
             },
             Some(_) | None => health,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Deviation of every row before the jump.
+    const BEFORE_JUMP: f64 = 0.01;
+
+    /// Returns what a trial without row 0 decides at once if the deviations have grown by these factors.
+    fn decision(growths: &[f64]) -> Decision {
+        let rows = growths.len();
+        let mut shown = Shown {
+            row: 0,
+            before: vec![BEFORE_JUMP; rows],
+            now: vec![Deviation::default(); rows],
+            with_fault: Deviation::default(),
+            faulty: 0,
+            open: 0,
+        };
+        let spans = Spans {
+            kept: 1,
+            average: 1.0,
+            confirmed: 1,
+            agreed: 1,
+        };
+        let measured = growths
+            .iter()
+            .map(|growth| 1.0 + (growth * BEFORE_JUMP).sqrt());
+        let measured: Vec<f64> = measured.collect();
+        shown.take(&spans, &measured, &vec![1.0; rows])
+    }
+
+    #[test]
+    fn one_neighbour_among_many_sensors_shows_that_the_structure_has_changed() {
+        let mut growths = vec![20.0; 1];
+        growths.resize(20, 1.0);
+        assert_eq!(decision(&growths), Decision::Faulty);
+        growths[1] = 8.0;
+        assert_eq!(decision(&growths), Decision::Ended);
+    }
+
+    #[test]
+    fn small_deviation_and_few_others_show_no_fault() {
+        assert_eq!(decision(&[9.0, 1.0, 1.0]), Decision::Ended);
+        assert_eq!(decision(&[20.0, 1.0]), Decision::Ended);
+        assert_eq!(decision(&[20.0, 1.0, 1.0]), Decision::Faulty);
     }
 }
