@@ -1,9 +1,8 @@
 //! The authority of a site and the certificates that it has issued, as files in one folder.
 
-use std::fs::{DirBuilder, OpenOptions, Permissions};
-use std::io::{ErrorKind, Write};
+use std::fs::DirBuilder;
 use std::net::IpAddr;
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
 use jiff::civil::Date;
@@ -14,16 +13,15 @@ use rcgen::{
     Issuer, KeyPair, KeyUsagePurpose, SanType, date_time_ymd,
 };
 use spandrel_bus::{AUTHORITY_FILE, TlsConfig, read_small_text};
-use spandrel_checkpoint::sync_name;
+use spandrel_checkpoint::replace_private_file;
 
 use crate::error::AccessError;
 use crate::role::{Party, Role};
 
 /// File name of the authority's private key.
 const AUTHORITY_KEY_FILE: &str = "authority.key";
-/// Permissions of the folder. Only the owner has access to it and its files.
+/// Permissions of the folder. Only the owner has access.
 const FOLDER_MODE: u32 = 0o700;
-const FILE_MODE: u32 = 0o600;
 /// Number of days before today on which validity starts, for parties whose clock is slow.
 const VALID_BEFORE_DAYS: i64 = 2;
 /// Maximum validity period of a certificate, in days.
@@ -355,36 +353,16 @@ impl Issued {
                 }
             }
         }
-        write_private(&self.key, key, existing)?;
-        write_private(&self.certificate, certificate, existing)
+        write_private(&self.key, key)?;
+        write_private(&self.certificate, certificate)
     }
 }
 
-/// Writes a file for its owner alone. On return, it is on disk.
-fn write_private(path: &Path, text: &str, existing: Existing) -> Result<(), AccessError> {
-    let mut options = OpenOptions::new();
-    options.write(true).mode(FILE_MODE);
-    match existing {
-        Existing::Keep => options.create_new(true),
-        Existing::Replace => options.create(true).truncate(true),
-    };
-    let written = options.open(path).and_then(|mut file| {
-        // An existing file would keep its mode.
-        file.set_permissions(Permissions::from_mode(FILE_MODE))?;
-        file.write_all(text.as_bytes())?;
-        file.sync_all()?;
-        sync_name(path);
-        Ok(())
-    });
-    written.map_err(|source| match source.kind() {
-        ErrorKind::AlreadyExists => AccessError::Exists {
-            path: path.to_owned(),
-        },
-        _ => AccessError::File {
-            what: "written",
-            path: path.to_owned(),
-            source,
-        },
+fn write_private(path: &Path, text: &str) -> Result<(), AccessError> {
+    replace_private_file(path, text.as_bytes()).map_err(|source| AccessError::File {
+        what: "written",
+        path: path.to_owned(),
+        source,
     })
 }
 

@@ -37,4 +37,6 @@ pub use envelope::{Identity, fingerprint};
 pub use error::{CheckpointError, Refusal};
 pub use failures::Failures;
 pub use keeper::{Keeper, moment_within};
-pub use series::{Checkpoints, Loaded, Place, Remembering, may_become_writable, sync_name};
+pub use series::{
+    Checkpoints, Loaded, Place, Remembering, may_become_writable, replace_private_file, sync_name,
+};

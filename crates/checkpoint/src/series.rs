@@ -365,6 +365,31 @@ pub fn sync_name(path: &Path) {
     }
 }
 
+/// Writes a file for its owner alone, and renames it over an existing one. On return, the new file is
+/// on disk. A failure, also of the power, leaves the old file or the new one.
+///
+/// # Errors
+/// The file cannot be written or renamed. An existing file is then unchanged.
+pub fn replace_private_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".new");
+    let beside = PathBuf::from(name);
+    // A file that a failure left behind would keep its permissions.
+    if let Err(error) = fs::remove_file(&beside)
+        && error.kind() != io::ErrorKind::NotFound
+    {
+        return Err(error);
+    }
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true).mode(FILE_MODE);
+    let mut file = options.open(&beside)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    fs::rename(&beside, path)?;
+    sync_name(path);
+    Ok(())
+}
+
 fn write_whole(
     beside: &Path,
     path: &Path,
@@ -426,6 +451,7 @@ fn set_aside(path: &Path, why: &Refusal) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::PermissionsExt as _;
 
     fn checkpoints(folder: &Path) -> Checkpoints {
         let identity = Identity {
@@ -439,6 +465,28 @@ mod tests {
 
     fn at(epoch: u64, sequence: u64) -> Place {
         Place { epoch, sequence }
+    }
+
+    #[test]
+    fn private_file_is_replaced_whole_or_not_at_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("main.key");
+        replace_private_file(&path, b"first").unwrap();
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        let beside = folder.path().join("main.key.new");
+        fs::create_dir(&beside).unwrap();
+        replace_private_file(&path, b"second").unwrap_err();
+        assert_eq!(fs::read(&path).unwrap(), b"first");
+        fs::remove_dir(&beside).unwrap();
+        // A failure left this file behind, readable for others.
+        fs::write(&beside, "half").unwrap();
+        fs::set_permissions(&beside, fs::Permissions::from_mode(0o644)).unwrap();
+        replace_private_file(&path, b"second").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"second");
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        assert!(!beside.exists());
     }
 
     #[test]

@@ -6,10 +6,9 @@ use rustls::crypto::ring::default_provider;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use spandrel_bus::{Name, read_small_text};
-use spandrel_checkpoint::sync_name;
+use spandrel_checkpoint::replace_private_file;
 use std::fmt::Write as _;
-use std::io::{ErrorKind, Write as _};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// Number of random bytes in a token. It is too large to guess, so a single fast hash suffices for
@@ -17,8 +16,6 @@ use std::path::Path;
 const TOKEN_BYTES: usize = 32;
 /// Prefix of a token, by which people and scanners recognise it.
 const PREFIX: &str = "spandrel-";
-/// Permissions of the token file. Only the owner has access.
-const FILE_MODE: u32 = 0o600;
 
 /// Rights of a visitor on the page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -107,28 +104,14 @@ impl Tokens {
         Ok(secret)
     }
 
-    /// Writes a new file and renames it over the old one, so that no reader sees half a file. On
-    /// return, it is on disk.
+    /// Replaces the file, so that no reader sees half of it. On return, it is on disk.
     fn write(&self, path: &Path) -> Result<(), DashboardError> {
         let failed = |source| DashboardError::TokenFile {
             path: path.to_owned(),
             source,
         };
         let text = serde_json::to_string_pretty(&self.0).map_err(|error| failed(error.into()))?;
-        let beside = path.with_extension("new");
-        let mut options = std::fs::OpenOptions::new();
-        options
-            .write(true)
-            .create(true)
-            .truncate(true)
-            .mode(FILE_MODE);
-        let mut file = options.open(&beside).map_err(failed)?;
-        file.write_all(text.as_bytes())
-            .and_then(|()| file.sync_all())
-            .map_err(failed)?;
-        std::fs::rename(&beside, path).map_err(failed)?;
-        sync_name(path);
-        Ok(())
+        replace_private_file(path, text.as_bytes()).map_err(failed)
     }
 
     /// Returns `true` if there are no tokens.

@@ -2,6 +2,8 @@
 
 use super::*;
 use spandrel_bus::TlsError;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
 
 fn mode(path: &Path) -> u32 {
     std::fs::metadata(path).unwrap().permissions().mode() & 0o777
