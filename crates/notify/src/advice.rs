@@ -50,8 +50,8 @@ fn of_alert(alert: &AlertMessage, scene: &Scene<'_>) -> String {
         }
         AlertState::SofteningInMotion => {
             return format!(
-                "No action is required now. {part} is judged again from weak motion. Read the report \
-                 of the earthquake."
+                "The report of the earthquake states how urgent an inspection is. {part} is judged \
+                 again from weak motion."
             );
         }
         AlertState::Undecided => {
