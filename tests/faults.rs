@@ -10,9 +10,10 @@ use crate::support::{
     two_storeys, within,
 };
 use spandrel_bus::{
-    Acknowledgement, Bus, EstimateBlock, FrameBlock, Header, Keys, Message, Name, Pace,
-    SampleBlock, Service, StreamState,
+    Acknowledgement, Bus, EstimateBlock, Event, EventKind, FrameBlock, Header, Keys, Message, Name,
+    Pace, SampleBlock, Service, StreamState,
 };
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Encoding of sample blocks.
@@ -303,6 +304,55 @@ async fn a_block_of_a_foreign_node_is_refused() {
         .expect(Service::Ingest, "foreign-blocks", 1)
         .await;
     faulty.assert_goes_on("foreign node").await;
+}
+
+/// The event gives the developer of a sensor the reason.
+#[tokio::test(flavor = "multi_thread")]
+async fn rejected_messages_of_a_node_are_an_event_with_the_reason() {
+    let mut faulty = Faulty::start().await;
+    let keys = faulty.keys.clone();
+    let events = faulty
+        .bus
+        .subscribe::<Event>(keys.event(), 1024)
+        .await
+        .unwrap();
+    let mut foreign = faulty.next_block();
+    foreign.header.source = "floor-7".to_owned();
+    faulty.put_raw(SAMPLES, foreign.encode().unwrap()).await;
+    let mut wide = faulty.next_block();
+    wide.channels = 2;
+    wide.samples.extend_from_slice(&wide.samples.clone());
+    wide.header.source = "floor-2".to_owned();
+    let sent = [
+        ("floor-2", SAMPLES, wide.encode().unwrap()),
+        ("ground", "application/json", b"{\"channels\": 1}".to_vec()),
+    ];
+    for (node, encoding, payload) in sent {
+        let key = keys.samples(&Name::new(node).unwrap());
+        put_raw(&faulty.bus, &key, encoding, payload).await;
+    }
+    let mut reasons = BTreeMap::new();
+    within("the events of three nodes", async {
+        while reasons.len() < 3 {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            if event.kind == EventKind::SamplesDropped {
+                assert_eq!(event.what, "messages of the node are rejected: 1 so far");
+                reasons.insert(event.subject, event.why);
+            }
+        }
+    })
+    .await;
+    println!("{reasons:#?}");
+    let why = |node: &str| reasons[node].as_str();
+    assert_eq!(
+        why("floor-1"),
+        "another source publishes on the topic of this node"
+    );
+    assert_eq!(
+        why("floor-2"),
+        "its blocks have another number of channels than the structure file states"
+    );
+    assert!(why("ground").contains("missing field"), "{}", why("ground"));
 }
 
 // A higher epoch in a foreign node's block must not make the node itself stale.

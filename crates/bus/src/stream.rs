@@ -91,9 +91,17 @@ pub struct StreamCounts {
     pub refused: BTreeMap<&'static str, u64>,
     /// Number of blocks that the reader's own check rejected, by reason.
     pub unfit: BTreeMap<&'static str, u64>,
+    /// Why the last message or block was rejected.
+    pub last_rejection: Option<String>,
 }
 
 impl StreamCounts {
+    /// Returns the number of rejected messages and blocks.
+    #[must_use]
+    pub fn rejected(&self) -> u64 {
+        self.refused.values().chain(self.unfit.values()).sum()
+    }
+
     /// Returns the number of dropped, lost or recovered items by reason, for a status message.
     #[must_use]
     pub fn drops(&self) -> BTreeMap<String, u64> {
@@ -530,6 +538,7 @@ impl<B: Block> Reader<B> {
             return true;
         };
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        counts.last_rejection = Some(reason.to_owned());
         let count = counts.unfit.entry(reason).or_default();
         *count += 1;
         if count.is_power_of_two() {
@@ -548,10 +557,11 @@ impl<B: Block> Reader<B> {
     /// Counts a rejected message, and logs it each time the count has doubled.
     fn refuse(&mut self, error: &DecodeError) {
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = counts.refused.entry(error.reason()).or_default();
+        let (why, reason) = (error.with_cause(), error.reason());
+        counts.last_rejection = Some(why.to_string());
+        let count = counts.refused.entry(reason).or_default();
         *count += 1;
         if count.is_power_of_two() {
-            let (why, reason) = (error.with_cause(), error.reason());
             warn!(key = self.key, error = %why, reason, count = *count, "message rejected");
         }
     }

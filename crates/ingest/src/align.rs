@@ -318,7 +318,7 @@ impl Alignment {
             return;
         }
         if usize::from(block.channels) != self.queues[node].channels() {
-            self.counts.wrong_channels += 1;
+            self.queues[node].counts.wrong_channels += 1;
             return;
         }
         if self.queues[node].presence == Presence::Distrusted {

@@ -11,8 +11,6 @@ pub struct Counts {
     /// Samples missing from a frame although their node was connected. Nodes slower than the frames
     /// count too.
     pub missing: u64,
-    /// Blocks whose number of channels differs from the declared number.
-    pub wrong_channels: u64,
     /// Blocks from a source other than the node.
     pub unknown_node: u64,
     /// The counters of all nodes together.
@@ -40,6 +38,8 @@ pub struct NodeCounts {
     pub not_finite: u64,
     /// Values beyond the range of their channel, which are treated as missing.
     pub out_of_range: u64,
+    /// Blocks whose number of channels differs from the declared number.
+    pub wrong_channels: u64,
 }
 
 impl AddAssign for NodeCounts {
@@ -53,6 +53,7 @@ impl AddAssign for NodeCounts {
         self.overflowed += other.overflowed;
         self.not_finite += other.not_finite;
         self.out_of_range += other.out_of_range;
+        self.wrong_channels += other.wrong_channels;
     }
 }
 
@@ -68,7 +69,7 @@ impl Counts {
             ("retracted-samples", self.nodes.retracted),
             ("wrong-clock-samples", self.nodes.wrong_clock),
             ("overflowed-samples", self.nodes.overflowed),
-            ("wrong-channels", self.wrong_channels),
+            ("wrong-channels", self.nodes.wrong_channels),
             ("unknown-node", self.unknown_node),
             ("not-finite-values", self.nodes.not_finite),
             ("out-of-range-values", self.nodes.out_of_range),

@@ -44,12 +44,12 @@ mod node_queue;
 mod sampling_instants;
 
 mod align;
+mod block_watch;
 mod clock_moves;
 mod clock_vote;
 mod clock_watch;
 mod drop_watch;
 mod lateness;
-mod lockout_watch;
 mod missing_share;
 mod quality_watch;
 mod timekeeping;

@@ -7,7 +7,7 @@ use std::time::Duration;
 use spandrel_bus::{
     Block, BoxedFuture, Delivery, Event, EventKind, Forget, FrameBlock, Keep, Keys, LiveToken,
     LiveWatch, NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading,
-    SampleBlock, Service, Start, StreamGroup, StreamState,
+    SampleBlock, Service, Start, StreamCounts, StreamGroup, StreamState,
 };
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
@@ -16,11 +16,11 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
 use crate::align::{Alignment, AlignmentInput, NodePlace};
+use crate::block_watch::{BlockReport, BlockWatch};
 use crate::displays::Displays;
-use crate::drop_watch::DropWatch;
+use crate::drop_watch::{DropReport, DropWatch};
 use crate::error::IngestError;
 use crate::layout::Layout;
-use crate::lockout_watch::LockoutWatch;
 use crate::missing_share::MissingShare;
 use crate::quality_watch::QualityWatch;
 use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
@@ -53,6 +53,11 @@ const GRACE: Duration = Duration::from_secs(2);
 /// Like `GRACE`, but for the case that the tokens of all nodes disappear. The cause is a broken
 /// link, and the tokens return one by one.
 const GRACE_OF_ALL: Duration = Duration::from_secs(12);
+/// Time without an excluded block after which a node is no longer locked out.
+const LOCKOUT_OVER_AFTER: Duration = Duration::from_secs(3);
+/// Time without a rejected block after which the next one is reported again.
+const REJECTION_OVER_AFTER: Duration = Duration::from_secs(60);
+
 /// Policy for how long a frame waits for late samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameWait {
@@ -128,7 +133,8 @@ pub struct IngestService {
     progress: ProgressPublisher,
     status: StatusPublisher,
     drop_watch: DropWatch,
-    lockout_watch: LockoutWatch,
+    lockout_watch: BlockWatch,
+    rejection_watch: BlockWatch,
     quality_watch: QualityWatch,
     missing_share: MissingShare,
     clock: Clock,
@@ -334,7 +340,8 @@ impl IngestService {
                     allowed.unwrap_or_default().as_secs_f64(),
                     layout.tolerance_ns() as f64 / 1e9,
                 ),
-                lockout_watch: LockoutWatch::new(node_count),
+                lockout_watch: BlockWatch::new(node_count, LOCKOUT_OVER_AFTER),
+                rejection_watch: BlockWatch::new(node_count, REJECTION_OVER_AFTER),
                 quality_watch: QualityWatch::new(node_count),
                 missing_share,
                 clock: *clock,
@@ -571,9 +578,23 @@ impl IngestService {
         let counts = self.core.node_counts();
         let elapsed = self.started.elapsed();
         self.drop_watch.read(counts, elapsed, &mut reports);
-        let excluded = self.nodes.counts();
-        let excluded = excluded.map(|counts| counts.follow.locked_out_blocks);
-        self.lockout_watch.read(excluded, elapsed, &mut reports);
+        let nodes: Vec<StreamCounts> = self.nodes.counts().collect();
+        let excluded = nodes.iter().map(|counts| counts.follow.locked_out_blocks);
+        let excluded = self.lockout_watch.read(excluded, elapsed);
+        reports.extend(excluded.into_iter().map(lockout));
+        let wrong_channels: Vec<u64> = self
+            .core
+            .node_counts()
+            .map(|counts| counts.wrong_channels)
+            .collect();
+        let rejected = nodes.iter().zip(&wrong_channels);
+        let rejected = rejected.map(|(counts, wrong)| counts.rejected() + wrong);
+        for report in self.rejection_watch.read(rejected, elapsed) {
+            reports.push(rejection(
+                report,
+                nodes[report.node].last_rejection.as_deref(),
+            ));
+        }
         for report in reports {
             let Some(node) = self.layout.nodes().get(report.node) else {
                 continue; // reports have the indices of the layout
@@ -654,5 +675,53 @@ impl IngestService {
             ..Report::default()
         };
         Ok(self.status.put(report).await?)
+    }
+}
+
+/// Reports a node that a higher epoch under its name excludes, or no longer excludes.
+fn lockout(report: BlockReport) -> DropReport {
+    let (what, why) = match report.is_over {
+        true => (
+            "the blocks of the node are no longer dropped",
+            "no other source excludes them",
+        ),
+        false => (
+            "the blocks of the node are dropped: another source uses its name with a higher epoch",
+            "a second program, or an earlier run with its clock in the future; the node is read \
+             again once it alone has delivered for 5 s and 10 blocks",
+        ),
+    };
+    DropReport {
+        node: report.node,
+        what: what.to_owned(),
+        why: why.to_owned(),
+        is_over: report.is_over,
+    }
+}
+
+/// Reports a node whose messages cannot be used. `last` is the reason of the bus for the last one.
+fn rejection(report: BlockReport, last: Option<&str>) -> DropReport {
+    let (what, why) = match (report.is_over, last) {
+        (true, _) => (
+            "no further message of the node was rejected for a minute".to_owned(),
+            "its messages can be read, or no longer arrive",
+        ),
+        (false, last) => (
+            format!(
+                "messages of the node are rejected: {} so far",
+                report.blocks
+            ),
+            match last {
+                Some("foreign-blocks") => "another source publishes on the topic of this node",
+                Some(why) => why,
+                None => "its blocks have another number of channels than the structure file states",
+            },
+        ),
+    };
+    DropReport {
+        node: report.node,
+        what,
+        why: why.to_owned(),
+        is_over: report.is_over,
     }
 }

@@ -381,7 +381,7 @@ fn blocks_of_another_shape_or_source_are_refused() {
     );
     assert_eq!(
         (
-            alignment.counts().wrong_channels,
+            alignment.counts().nodes.wrong_channels,
             alignment.counts().unknown_node
         ),
         (1, 1)
