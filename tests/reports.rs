@@ -5,7 +5,7 @@ use crate::earthquake::{FLOORS, RATE_HZ, building, respond};
 use crate::support::{DEADLINE, Process, Record, Site, spandrel, within};
 use rand::{RngExt as _, SeedableRng};
 use serde_json::Value;
-use spandrel_bus::{Bus, Event, EventKind, Subscription};
+use spandrel_bus::{AlertMessage, AlertState, Bus, Event, EventKind, Subscription};
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -34,6 +34,16 @@ struct Course {
 
 impl Course {
     fn new(folder: &Path, seconds: usize, quakes: &[(f64, f64)]) -> Self {
+        Self::of_first_storey(folder, seconds, quakes, 1.0)
+    }
+
+    /// As [`Course::new`], with this share of the stiffness of the first storey.
+    fn of_first_storey(
+        folder: &Path,
+        seconds: usize,
+        quakes: &[(f64, f64)],
+        first_storey: f64,
+    ) -> Self {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
         let mut level = 0.0;
         let ground: Vec<f64> = (0..seconds * RATE_HZ as usize)
@@ -51,7 +61,7 @@ impl Course {
                 peak * level / 3.0
             })
             .collect();
-        let rows = respond(&ground, 1.0, &mut random);
+        let rows = respond(&ground, first_storey, &mut random);
         let line = |(frame, row): (usize, &[f64; FLOORS + 1])| {
             let values: Vec<String> = row.iter().map(|value| format!("{value:.6}")).collect();
             let (second, hundredth) = (START_S + (frame / 100) as i64, frame % 100);
@@ -307,6 +317,53 @@ async fn crash_in_the_strong_motion_changes_no_report_and_a_due_report_is_made_a
     })
     .await;
     assert_eq!(json_of(&events_folder(&site)), live);
+}
+
+/// An alert is raised before the second earthquake. The report of this earthquake alone shows weak
+/// motion without a change.
+#[tokio::test(flavor = "multi_thread")]
+async fn report_states_an_open_alert_and_asks_for_an_inspection() {
+    let site = watched_building(
+        "\n[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.1\ncredibility = 0.99\nsustain-s = 5\n\
+         reference = { design-std = 0.05 }\n",
+    );
+    let quakes = [(60.0, WEAK), (240.0, WEAK)];
+    let course = Course::of_first_storey(site.folder(), 300, &quakes, 0.6);
+    let (_run, address) = run(&site);
+    let (bus, events) = listen(&site).await;
+    let alerts = bus
+        .subscribe::<AlertMessage>(site.keys().all_alerts(), 1024)
+        .await
+        .unwrap();
+    let replay = site.replay(&course.record(), "60");
+    let raised = within("the alert", async {
+        loop {
+            let (_, alert) = alerts.messages().recv_async().await.unwrap();
+            if alert.state == AlertState::Raised {
+                return alert;
+            }
+        }
+    })
+    .await;
+    let after_s = raised.time_ns as f64 / 1e9 - START_S as f64;
+    assert!(after_s < 200.0, "raised after {after_s} s");
+    replay.wait().expect_code(0);
+    let mut all = Vec::new();
+    events_of(&events, EventKind::EarthquakeReport, 2, &mut all).await;
+    let made = json_of(&events_folder(&site));
+    let last = made.values().last().unwrap();
+    println!("{}", last["headline"]);
+    let open = last["open_alerts"].as_array().unwrap();
+    assert_eq!(open.len(), 1, "{last}");
+    let why = open[0].as_str().unwrap();
+    assert!(why.starts_with("storey-1 has lost"), "{why}");
+    let headline = last["headline"].as_str().unwrap();
+    let sentence = format!("An alert of the running services is open: {why}.");
+    assert!(headline.contains(&sentence), "{headline}");
+    assert_eq!(last["urgency"], "inspect");
+    let name = made.keys().next_back().unwrap();
+    let (_, _, html) = get(&address, &format!("/events/block-7/{name}.html"));
+    assert!(html.contains("An alert of the running services is open: storey-1"));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -162,8 +162,10 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             ]
             .map(of_service)
             .concat(),
-            // Reports of earthquakes need the frames.
+            // Reports of earthquakes need the frames, and state the open alerts.
             each(Right::Answer, &[K::Report]),
+            each(Right::Subscribe, &[K::Alert]),
+            each(Right::Query, &[K::Alert]),
         ]
         .concat(),
         Role::Alert => [

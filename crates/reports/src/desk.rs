@@ -46,8 +46,8 @@ impl Desk {
         }
     }
 
-    /// Works on the next recording that the history lacks.
-    pub(crate) fn work(&mut self) -> Work {
+    /// Works on the next recording that the history lacks. `standing` are the open alerts, in words.
+    pub(crate) fn work(&mut self, standing: &[String]) -> Work {
         match self.records.trim(self.keep) {
             Ok(true) => self.course = None,
             Ok(false) => {}
@@ -75,7 +75,7 @@ impl Desk {
         let Some(kept) = next.cloned() else {
             return Work::Nothing;
         };
-        match self.report(&kept) {
+        match self.report(&kept, standing) {
             Ok(Some(made)) => Work::Reported(kept, made),
             Ok(None) => Work::Known,
             Err(trouble) => {
@@ -93,12 +93,13 @@ impl Desk {
         }
     }
 
-    fn report(&mut self, kept: &Kept) -> Result<Option<MadeReport>, Trouble> {
+    fn report(&mut self, kept: &Kept, standing: &[String]) -> Result<Option<MadeReport>, Trouble> {
         let course = match &mut self.course {
             Some(course) => course,
             none => none.insert(self.maker.begin().map_err(Trouble::Recording)?),
         };
-        let made = course.report(&self.records.record(&kept.stem), &occasion(kept));
+        let record = self.records.record(&kept.stem);
+        let made = course.report(&record, &occasion(kept), standing);
         let made = made.map_err(Trouble::Recording)?;
         let start_ns = kept.about.start_ns;
         self.taken.push((start_ns, kept.stem.clone()));
@@ -175,7 +176,7 @@ mod tests {
     }
 
     impl ReportCourse for Counted {
-        fn report(&mut self, record: &Path, _: &str) -> Result<MadeReport, String> {
+        fn report(&mut self, record: &Path, _: &str, _: &[String]) -> Result<MadeReport, String> {
             let stem = record.file_stem().unwrap().to_string_lossy().into_owned();
             if std::fs::read_to_string(record).unwrap().contains("\n7") {
                 return Err("seven".to_owned());
@@ -216,7 +217,7 @@ mod tests {
     fn all(desk: &mut Desk) -> (usize, usize) {
         let (mut reported, mut failed) = (0, 0);
         loop {
-            match desk.work() {
+            match desk.work(&[]) {
                 Work::Reported(..) => reported += 1,
                 Work::Known => {}
                 Work::Failed(..) => failed += 1,

@@ -1,6 +1,6 @@
 //! Finds earthquakes in the frames of a structure, and keeps their recordings and reports.
 //!
-//! Takes frames from the bus. Cuts the recording of each earthquake from them, and recordings of weak
+//! Takes frames and alerts from the bus. Cuts the recording of each earthquake from them, and recordings of weak
 //! motion at set times afterwards. Keeps them as CSV files, has each of them reported, and replies to
 //! queries for the reports. The plan contains what makes a report, so this crate knows no page and
 //! no filter.

@@ -12,6 +12,7 @@ use spandrel_bus::{
     Questions, ReportPage, Service, Stream, is_without_date, parse_key,
 };
 use spandrel_earthquake::{Detection, DetectionSettings};
+use spandrel_listener::{DisplayTopic, Listener, Needs, StructureState};
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
@@ -25,6 +26,14 @@ use tokio::task::{JoinError, JoinHandle};
 use tokio::time::Instant;
 use tracing::{info, warn};
 
+/// The open alerts, which each report states.
+const NEEDS: Needs = Needs {
+    topics: &[DisplayTopic::Alerts],
+    services: &[Service::Alert],
+    logs: &[],
+};
+/// Pause after the start, in which the alert service states the open alerts.
+const ALERTS_WITHIN: Duration = Duration::from_secs(3);
 /// Maximum number of values for which the calling thread processes a block. They take less than
 /// 500 µs.
 const BRIEF: usize = 10_000;
@@ -68,6 +77,9 @@ pub struct ReportsService {
     frames: Stream<FrameBlock>,
     records: Records,
     maker: Arc<dyn ReportMaker>,
+    listener: Listener,
+    /// State of the structure, of which only the alerts are known.
+    state: StructureState,
     /// `None` while a report is made.
     desk: Option<Desk>,
     making: Option<JoinHandle<(Desk, Work)>>,
@@ -175,12 +187,14 @@ impl ReportsService {
                     .follow_fit(keys.frames(), keys.recording(), reading, is_of_structure)
                     .await?,
                 cutting,
+                listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS).await?,
+                state: StructureState::default(),
                 desk: Some(Desk::new(records.clone(), maker.clone(), plan.keep)),
                 records,
                 maker: maker.clone(),
                 making: None,
                 // A report may have been due while the service did not run.
-                make_at: Some(now),
+                make_at: Some(now + ALERTS_WITHIN),
                 waiting: VecDeque::new(),
                 keeping: None,
                 keep_at: now,
@@ -356,8 +370,11 @@ impl ReportsService {
             && let Some(mut desk) = self.desk.take()
         {
             self.make_at = None;
+            self.hear_alerts();
+            let open = self.state.alerts.values().filter(|alert| alert.stands());
+            let standing: Vec<String> = open.map(|alert| alert.why.clone()).collect();
             self.making = Some(tokio::task::spawn_blocking(move || {
-                let work = desk.work();
+                let work = desk.work(&standing);
                 (desk, work)
             }));
         }
@@ -518,7 +535,14 @@ impl ReportsService {
         self.last_frames.elapsed() >= SILENT_AFTER
     }
 
+    fn hear_alerts(&mut self) {
+        for input in self.listener.gather() {
+            self.state.handle(input, &mut Vec::new());
+        }
+    }
+
     async fn put_status(&mut self) -> Result<(), ReportsError> {
+        self.hear_alerts();
         if self.is_silent() {
             let mut outputs = Vec::new();
             if self.cutting.detection().is_shaking() {
@@ -538,6 +562,7 @@ impl ReportsService {
             }
         }
         let mut drops = self.frames.counts().drops();
+        drops.extend(self.listener.refused());
         if let Some(memory) = &mut self.memory {
             memory.look().await;
             drops.extend(memory.drops());

@@ -67,7 +67,7 @@ pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
     create(&arguments.report)?;
     let mut course = Course::new(with, settings)?;
     for (record, name) in records.iter().zip(names) {
-        let report = course.report(record, name)?;
+        let report = course.report(record, name, &[])?;
         let file = |extension| {
             arguments
                 .report

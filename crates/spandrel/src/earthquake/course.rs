@@ -82,7 +82,8 @@ impl Course {
         })
     }
 
-    /// Reports a recording that is later than all others.
+    /// Reports a recording that is later than all others. `standing` are the open alerts of the
+    /// running services, in words.
     ///
     /// # Errors
     /// The recording cannot be identified.
@@ -90,6 +91,7 @@ impl Course {
         &mut self,
         record: &EventRecord,
         name: EventName,
+        standing: &[String],
     ) -> Result<EventReport, AppError> {
         self.number += 1;
         let with = self.with.clone();
@@ -125,6 +127,7 @@ impl Course {
             identified,
             no_responses: with.missing,
             parameters,
+            open_alerts: standing.to_vec(),
         })
     }
 

@@ -3,13 +3,13 @@
 use super::page::{escape, list};
 use super::report::{EventReport, ParameterReport};
 use super::wording::{
-    alerted, comparisons, percent, percent_range, probability, ratios, told_losses,
+    alerts, comparisons, percent, percent_range, probability, ratios, told_losses,
 };
 use spandrel_earthquake::{LastingLoss, Softening};
 
 /// Returns the alerts, the table, and with what the softening is compared.
 pub fn html(report: &EventReport) -> String {
-    let alerts: Vec<String> = report.alerts.iter().map(|why| alerted(why)).collect();
+    let open = alerts(report);
     let judged: Vec<&ParameterReport> = report
         .parameters
         .iter()
@@ -22,7 +22,7 @@ pub fn html(report: &EventReport) -> String {
         .collect();
     let title = "What is judged";
     if judged.is_empty() {
-        return list(title, &alerts);
+        return list(title, &open);
     }
     let rows: String = judged
         .iter()
@@ -32,9 +32,9 @@ pub fn html(report: &EventReport) -> String {
         .iter()
         .map(|note| format!("<p class=\"note\">{}</p>\n", escape(note)))
         .collect();
-    let head = match alerts.is_empty() {
+    let head = match open.is_empty() {
         true => format!("<h2>{title}</h2>\n"),
-        false => list(title, &alerts),
+        false => list(title, &open),
     };
     format!(
         "{head}<table class=\"judged\">\n<thead><tr><th scope=\"col\">stiffness</th>\

@@ -60,11 +60,16 @@ impl ReportMaker for LiveReports {
 }
 
 impl ReportCourse for LiveCourse {
-    fn report(&mut self, record: &Path, occasion: &str) -> Result<MadeReport, String> {
+    fn report(
+        &mut self,
+        record: &Path,
+        occasion: &str,
+        standing: &[String],
+    ) -> Result<MadeReport, String> {
         let record =
             EventRecord::read_frames(&self.structure, record).map_err(|error| told(&error))?;
         let name = EventName::new(&self.structure, &record);
-        let report = self.course.report(&record, name);
+        let report = self.course.report(&record, name, standing);
         let report = report.map_err(|error| told(&error))?;
         Ok(MadeReport {
             html: page::html(&report, &record.channels, occasion),

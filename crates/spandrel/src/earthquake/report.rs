@@ -236,7 +236,9 @@ pub struct EventReport {
     pub judged: Vec<String>,
     /// What is not judged, and why.
     pub not_judged: Vec<String>,
-    /// Alerts that are raised at the end of a record of weak motion, as sentences.
+    /// Alerts of the running services that were open when the report was made, in words.
+    pub open_alerts: Vec<String>,
+    /// Alerts that are raised at the end of a record of weak motion, in words.
     pub alerts: Vec<String>,
     /// Largest acceleration of the structure (m/s²).
     pub peak_m_per_s2: f64,
@@ -278,6 +280,7 @@ pub struct Parts<'p> {
     pub identified: Identified,
     pub no_responses: Option<&'static str>,
     pub parameters: Vec<ParameterReport>,
+    pub open_alerts: Vec<String>,
 }
 
 impl EventReport {
@@ -296,6 +299,7 @@ impl EventReport {
             identified,
             no_responses,
             parameters,
+            open_alerts,
         } = parts;
         let figures = record.figures(structure)?;
         let health = record.health.iter().map(Option::as_ref);
@@ -324,6 +328,7 @@ impl EventReport {
             happened: Vec::new(),
             judged: Vec::new(),
             not_judged: Vec::new(),
+            open_alerts,
             alerts: Vec::new(),
             peak_m_per_s2: peak,
             ground_spectra: ground_spectra(structure, record)?,
@@ -405,6 +410,11 @@ impl EventReport {
         each.max_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
+    /// Returns `true` if the running services or this record have raised an alert.
+    pub fn has_alert(&self) -> bool {
+        !self.open_alerts.is_empty() || !self.alerts.is_empty()
+    }
+
     fn judged_urgency(&self) -> Urgency {
         let is_beyond = self.decisive().any(|parameter| {
             let raised = parameter.judgement.softening.filter(|one| one.is_raised);
@@ -416,7 +426,7 @@ impl EventReport {
             return Urgency::InspectFirst;
         }
         let is_unjudged = self.shook() && !self.own_is_judged();
-        let is_changed = self.unpredicted().is_some() || !self.alerts.is_empty();
+        let is_changed = self.unpredicted().is_some() || self.has_alert();
         if is_unjudged || is_changed || worst.is_some_and(|loss| loss.probability >= 0.5) {
             return Urgency::Inspect;
         }

@@ -5,7 +5,8 @@ mod weak;
 use super::report::{EventName, EventReport, ParameterReport, Source};
 use spandrel_earthquake::motion::GRAVITY;
 use spandrel_earthquake::{LastingLoss, ReferenceKind, Softening, Urgency, Waiting};
-pub use weak::{alerted, ratios};
+use weak::alert_headline;
+pub use weak::{alerts, ratios};
 use weak::{is_predicted, unpredictable, unpredicted_headline, weak_headline};
 
 /// Formats a share in per cent without decimals, with the typographic minus sign.
@@ -74,8 +75,7 @@ pub fn happened(report: &EventReport) -> Vec<String> {
 
 /// What is judged.
 pub fn judged(report: &EventReport) -> Vec<String> {
-    let alerts = report.alerts.iter();
-    let mut sentences: Vec<String> = alerts.map(|why| alerted(why)).collect();
+    let mut sentences = alerts(report);
     for parameter in &report.parameters {
         let name = &parameter.name;
         if let Some(softening) = &parameter.judgement.softening {
@@ -258,7 +258,7 @@ fn unjudged_record(report: &EventReport) -> Vec<String> {
 pub fn headline(report: &EventReport) -> String {
     let parts = [
         softening_headline(report),
-        report.alerts.first().map(|why| alerted(why)),
+        alert_headline(report),
         unpredicted_headline(report),
         lasting_headline(report),
     ];
@@ -521,8 +521,8 @@ pub fn line(report: &EventReport) -> String {
         (!is_silent && is_shown) || loss.is_raised || loss.probability >= 0.5
     });
     let mut lasting = Vec::new();
-    if !report.alerts.is_empty() {
-        lasting.push("an alert is raised".to_owned());
+    if report.has_alert() {
+        lasting.push("an alert is open".to_owned());
     }
     if let Some((parameter, stiffness, interval)) = unpredicted {
         lasting.push(format!(

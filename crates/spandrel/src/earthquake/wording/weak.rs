@@ -4,9 +4,23 @@ use super::super::report::{EventReport, ParameterReport};
 use super::percent;
 use spandrel_earthquake::{FEWEST_EVENTS, Interval};
 
-/// An alert, as a sentence.
-pub fn alerted(why: &str) -> String {
-    format!("An alert is raised: {why}.")
+/// The open alerts of the running services and the alerts of the record, one sentence each.
+pub fn alerts(report: &EventReport) -> Vec<String> {
+    let open = report.open_alerts.iter();
+    let open = open.map(|why| format!("An alert of the running services is open: {why}."));
+    let raised = report.alerts.iter();
+    let raised = raised.map(|why| format!("An alert is raised: {why}."));
+    open.chain(raised).collect()
+}
+
+/// The first alert, and how many there are.
+pub(super) fn alert_headline(report: &EventReport) -> Option<String> {
+    let alerts = alerts(report);
+    let first = alerts.first()?;
+    match alerts.len() {
+        1 => Some(first.clone()),
+        count => Some(format!("{first} In total, {count} alerts are open.")),
+    }
 }
 
 /// A stiffness in weak motion that is not as predicted.
