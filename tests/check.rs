@@ -213,7 +213,7 @@ fn exchanged_channels_of_a_record_are_named_with_a_baseline_only() {
     learnt["sensors"].as_array_mut().unwrap().remove(0);
     std::fs::write(path("baseline.json"), learnt.to_string()).unwrap();
     let warning = checked("4.csv", &with).expect_code(0).stderr;
-    let expected = "has learnt nothing about the sensors ground";
+    let expected = "contains no reference for the sensors ground";
     assert!(warning.contains(expected), "{warning}");
     learnt["structure"] = "tower".into();
     std::fs::write(path("baseline.json"), learnt.to_string()).unwrap();

@@ -283,8 +283,8 @@ fn a_series_without_a_temperature_needs_a_commissioning_of_a_year() {
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         let stdout = text(&output.stdout);
         let needs_a_year = stdout.contains(
-            "the commissioning spans 120 days and needs 330, because no temperature is measured; \
-             the commissioning was extended by",
+            "the commissioning spans 120 days, must span at least 330, because no temperature is \
+             measured; the commissioning was extended by",
         );
         assert_eq!(needs_a_year, days == 120, "{days} days: {stdout}");
     }

@@ -128,7 +128,7 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     assert!(words.starts_with("▲ raised storey-2 has lost 1"), "{words}");
     let sensors = browser.evaluate(&rows("Sensors")).await;
     assert_eq!(sensors.as_array().unwrap().len(), 6);
-    let events = browser.evaluate(&rows("No event is known.")).await;
+    let events = browser.evaluate(&rows("No events.")).await;
     let events = events.as_array().unwrap();
     // Regression: the report ended with the last sample, and lacked what happened then.
     assert!(events.len() as u64 >= happened[1].as_u64().unwrap());

@@ -216,7 +216,7 @@ pub fn isolation(root: &Name) -> Value {
     })
 }
 
-const KNOWN_TO_ALL: &str = "who is there to read and to answer";
+const KNOWN_TO_ALL: &str = "presence of subscribers and queryables";
 
 /// Returns the rule that reveals subscribers and queryables to all parties.
 ///

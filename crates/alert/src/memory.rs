@@ -252,7 +252,7 @@ impl Memory {
         }
     }
 
-    /// Reports a folder that is gone, without waiting for something to save.
+    /// Reports a missing folder at once, even if there is nothing to save.
     pub(crate) fn look(&mut self) {
         let is_new = self.failures.consecutive() == 0 && !self.checkpoints.has_folder();
         if is_new && self.failures.failed() {

@@ -1,7 +1,7 @@
 //! Whether the natural frequencies of the model agree with the measured ones.
 //!
 //! After each epoch of the declared modes, the means of the estimates over this epoch give the
-//! frequencies of the model. A mode contradicts the model if it is apart from it in several
+//! frequencies of the model. A mode contradicts the model if their frequencies differ in several
 //! consecutive epochs ([`PartModel::compare`]). This module has no clock and no network.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -13,8 +13,8 @@ use spandrel_structure::Structure;
 
 use crate::AlertError;
 
-/// Number of consecutive epochs in which a mode must be apart from the model. A change of the
-/// structure can separate both for two epochs, because the filter follows it sooner.
+/// Number of consecutive epochs in which a mode must differ from the model. After a change of the
+/// structure, both can differ for two epochs, because the filter follows the change sooner.
 const EPOCHS_APART: u32 = 3;
 /// Number of estimates of an epoch that are averaged.
 const SAMPLES: i64 = 32;
@@ -41,7 +41,7 @@ pub(crate) struct ModelCheck {
     epoch: BTreeMap<Name, ModeDisplay>,
     /// End of the last compared epoch (ns).
     compared_ns: Option<i64>,
-    /// Number of consecutive epochs in which a mode was apart from the model.
+    /// Number of consecutive epochs in which a mode differed from the model.
     epochs_apart: BTreeMap<Name, u32>,
     /// The modes that contradict the model, in words.
     contradicting: Option<String>,

@@ -201,7 +201,7 @@ impl Monitoring {
         last.is_some_and(|last| last.phase == Phase::ResponseSilent)
     }
 
-    /// Forgets which sensors are in doubt.
+    /// Clears the list of the sensors in doubt.
     pub(crate) fn clear_suspects(&mut self) {
         self.suspects.clear();
     }
@@ -227,10 +227,9 @@ impl Monitoring {
         let (state, why) = match vigilance {
             Vigilance::Undecided(because) => return (State::Blind, Some(self.words(because))),
             Vigilance::Watching => return (State::Watching, None),
-            Vigilance::LearnsLittle => (
-                State::Degraded,
-                "damage would show only after more time than usual",
-            ),
+            Vigilance::LearnsLittle => {
+                (State::Degraded, "damage would be detected later than usual")
+            }
             Vigilance::LearnsReference => (State::Blind, REFERENCE_IS_LEARNT),
             Vigilance::LearnsNothing => (
                 State::Blind,

@@ -1,7 +1,7 @@
 //! Strong motion: a structure softens while it shakes, and most of the stiffness returns.
 //!
-//! In strong motion and until the structure has settled, a loss is therefore softening in motion. It
-//! informs, and raises no alert. Earlier motions show whether it is what this amplitude does.
+//! In strong motion and until the structure has settled, a loss is therefore reported as softening
+//! in motion, and raises no alert. Earlier motions show whether it is usual at this amplitude.
 
 use serde::{Deserialize, Serialize};
 use spandrel_earthquake::amplitude::compare;
@@ -14,7 +14,7 @@ use crate::{ParameterEstimate, Reference};
 ///
 /// It is that of the reports of earthquakes.
 const SETTLES_NS: i64 = 300_000_000_000;
-/// Number of earlier motions that are kept. More hardly change what is expected.
+/// Maximum number of earlier motions in memory. More would hardly change the prediction.
 const MOST_EARLIER: usize = 32;
 
 /// The motion of the structure, and the softening of one parameter in it.

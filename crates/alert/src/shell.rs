@@ -315,7 +315,7 @@ impl AlertService {
         Ok(())
     }
 
-    /// Reports checkpoints that are gone, and saves one as soon as their folder is back.
+    /// Reports a missing checkpoint folder, and saves a checkpoint once the folder exists again.
     fn look_at_the_memory(&mut self) {
         let Some(memory) = &mut self.memory else {
             return;
@@ -568,8 +568,8 @@ impl AlertService {
         Ok(self.events.put(&event).await?)
     }
 
-    /// Learns which sensors are in doubt. The comparisons arrive at the display rate and cost more
-    /// than the decisions, so they are read only while they matter.
+    /// Determines which sensors are in doubt. The comparisons arrive at the display rate and cost
+    /// more than the decisions, so this service subscribes to them only while a sensor is in doubt.
     async fn find_suspects(&mut self) -> Result<(), AlertError> {
         if !self.monitoring.has_sensor_in_doubt() {
             self.sensor_health = None;

@@ -211,8 +211,8 @@ fn nothing_learnt(rule: &Rule, alert: &Alert, before: Before<'_>) -> String {
             ReferenceRule::Given(_) => String::new(),
         };
         return format!(
-            "a span{span} was too uncertain for a reference, so that it is learnt again \
-             (estimate {mean:.3} ± {std:.3})"
+            "the estimate was too uncertain for a reference during a span{span}, so the reference \
+             is being learnt again (estimate {mean:.3} ± {std:.3})"
         );
     };
     let twice = (2.0 * alert.rule_loss).min(1.0);

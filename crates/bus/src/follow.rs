@@ -117,8 +117,8 @@ pub struct FollowCounts {
 
 /// Latest possible epoch and term. Both are wall-clock times in ns, and this is the year 2262.
 const LAST_EPOCH: u64 = i64::MAX as u64;
-/// Measurement time, ns, and number of blocks that an excluded run of the source must deliver,
-/// without a block of the present run in between, to be read again.
+/// Span of measurement time, ns, and number of blocks that an excluded run of the source must
+/// deliver before it is read again. A block of the present run restarts the count.
 ///
 /// The blocks that a former run has in transit when a new one starts are fewer.
 const READ_AGAIN_AFTER_NS: i64 = 5_000_000_000;
@@ -544,8 +544,8 @@ impl<B: Block> Follower<B> {
         true
     }
 
-    /// Changes the epoch. The source of the former epoch is gone, so that its missing items become
-    /// a gap.
+    /// Changes the epoch. The source of the former epoch no longer exists, so its missing items
+    /// become a gap.
     fn change_epoch(&mut self, epoch: u64, source: String, actions: &mut VecDeque<Action<B>>) {
         if let Some(seen_end) = self.position.as_ref().map(|p| p.seen_end) {
             self.deliver_up_to(seen_end, actions);

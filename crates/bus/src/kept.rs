@@ -197,7 +197,7 @@ impl KeptBlocks {
 #[cfg(test)]
 #[expect(
     clippy::disallowed_methods,
-    reason = "the beginning of times that are then given"
+    reason = "origin of the fixed times of the tests"
 )]
 mod tests {
     use super::*;

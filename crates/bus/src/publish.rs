@@ -376,7 +376,7 @@ fn push<B: Block>(
 ) -> Result<(), BusError> {
     #[expect(
         clippy::disallowed_methods,
-        reason = "how long blocks are kept goes by the time at which they were put"
+        reason = "the retention time of a block starts when it is published"
     )]
     let now = Instant::now();
     let pushed = ring.push(block, payload, now);

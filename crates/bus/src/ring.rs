@@ -367,7 +367,7 @@ mod tests {
     /// Creates a ring that received a block of two frames per second for one minute.
     #[expect(
         clippy::disallowed_methods,
-        reason = "the beginning of times that are then given"
+        reason = "origin of the fixed times of the tests"
     )]
     fn of_a_minute(keep: Keep, release: impl Fn(u64) -> u64) -> (Ring<crate::FrameBlock>, Instant) {
         let mut ring = Ring::new("source".into(), 1, keep);

@@ -93,8 +93,8 @@ pub struct BusConfig {
     pub connect: Vec<String>,
     /// Timeout of these connections, s. `None`: the session opens at once and keeps trying.
     pub connect_timeout_s: Option<f64>,
-    /// Time without any message after which others consider this process gone, s. `None`:
-    /// Zenoh's default, 10 s.
+    /// Time without any message after which other processes close the connection to this one, s.
+    /// `None`: Zenoh's default, 10 s.
     pub lease_s: Option<f64>,
     /// Maximum number of waiting messages per reader of a lossless stream, at least 1. Excess
     /// messages are fetched later.

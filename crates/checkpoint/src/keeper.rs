@@ -86,8 +86,8 @@ impl Keeper {
         }));
     }
 
-    /// Reports the result of a finished save, and a folder that is gone. Call it every second, so
-    /// that a failure does not wait for the next save.
+    /// Reports the result of a finished save, and a missing folder. Call it once per second, so
+    /// that a failure is reported before the next save.
     pub async fn look(&mut self) {
         if self.saving.as_ref().is_some_and(JoinHandle::is_finished) {
             self.finish().await;

@@ -93,8 +93,8 @@ impl Checkpoints {
         Ok(checkpoints)
     }
 
-    /// Returns `true` if the folder is at its path. It may have been moved or deleted, or its disk
-    /// may be away.
+    /// Returns `true` if the folder exists at its path. Otherwise it was moved or deleted, or its
+    /// disk is not mounted.
     #[must_use]
     pub fn has_folder(&self) -> bool {
         self.folder.is_dir()
@@ -103,7 +103,7 @@ impl Checkpoints {
     /// Saves a state. On return, the state is synced to disk.
     ///
     /// A missing folder is created if one of the two folders above it exists. If both are missing,
-    /// the whole state is away, and a new folder would hide it.
+    /// the disk with the state is probably not mounted, and a new folder would hide that.
     ///
     /// # Errors
     /// The disk is full, or the file system reports another error. Earlier checkpoints remain
@@ -237,8 +237,8 @@ impl Checkpoints {
     /// Removes the checkpoints that are no longer required.
     ///
     /// Keeps the last two checkpoints, the newest one at or before `needed`, and all later ones,
-    /// but at most `MOST_KEPT` files. With `None`, nobody needs an earlier checkpoint, and only the
-    /// last two are kept.
+    /// but at most `MOST_KEPT` files. With `None`, earlier ones are not needed, and only the last
+    /// two are kept.
     ///
     /// # Errors
     /// A file cannot be removed.

@@ -8,7 +8,7 @@ use spandrel_structure::{Coordinates, Drawing, Structure};
 pub(crate) struct About {
     pub(crate) name: String,
     pub(crate) description: String,
-    /// Where the structure stands, in words; may be empty.
+    /// Location of the structure, in words; may be empty.
     pub(crate) place: String,
     /// Whom to call about an alarm; may be empty.
     pub(crate) contact: String,

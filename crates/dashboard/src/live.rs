@@ -78,7 +78,7 @@ pub(crate) async fn serve(
     }
 }
 
-/// What a client wants in addition. Waveforms are large, and few views show them.
+/// Optional data that a client requests. Waveforms are large, and few views show them.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Wish {

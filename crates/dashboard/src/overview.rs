@@ -53,9 +53,9 @@ pub(crate) enum Level {
 pub(crate) struct Overview {
     pub(crate) name: String,
     pub(crate) description: String,
-    /// Where the structure stands, for the map. `None` if its file does not say.
+    /// Coordinates of the structure, for the map. `None` if its file does not state them.
     pub(crate) coordinates: Option<Coordinates>,
-    /// Where the structure stands, in words; may be empty.
+    /// Location of the structure, in words; may be empty.
     pub(crate) place: String,
     /// Whether there is a model. Without one, only natural frequencies are followed.
     pub(crate) has_model: bool,
@@ -304,7 +304,7 @@ impl Severity {
     }
 }
 
-/// Returns `true` if a state of an alert concerns nobody.
+/// Returns `true` if a state of an alert requires no attention.
 fn is_routine(state: AlertState) -> bool {
     matches!(
         state,
@@ -455,7 +455,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
 }
 
-/// Returns what else needs attention, so that an alarm does not hide it. Empty without any.
+/// Returns sentences on everything besides the alarm that needs attention; may be empty.
 fn besides_the_alarm(store: &Store, sensors: &SensorCount) -> String {
     let unwatched = unwatched(store).map(MonitoringDisplay::words);
     let mut told: Vec<String> = unwatched.into_iter().collect();

@@ -1,8 +1,8 @@
 //! Limits on the number of connections, in total and per address.
 //!
-//! A new connection always finds a place, as long as another connection is slow: it takes the place
-//! of the slowest connection of the address that has most of them. Connections that send nothing
-//! can therefore not keep others out.
+//! If the limit is reached, a new connection replaces the slowest connection of the address with
+//! the most connections. It is rejected only if no connection is slow. Connections that send
+//! nothing can therefore not keep others out.
 
 use crate::gate::network_of;
 use spandrel_service::{Audit, Refused};

@@ -30,7 +30,7 @@ impl WantedReport {
         let unknown = || {
             Mistake::new(
                 StatusCode::NOT_FOUND,
-                format!("{file} is no report"),
+                format!("{file} is not the name of a report"),
                 "must be index.html, or NAME.html or NAME.json of a report",
             )
         };
@@ -53,8 +53,8 @@ impl WantedReport {
             return Err(Mistake::new(
                 StatusCode::NOT_FOUND,
                 format!("no service has the report {}", self.report),
-                "must be a report that is kept, of a structure with a table [earthquakes] whose \
-                 service reports runs",
+                "must be a stored report of a structure with a table [earthquakes]; the service \
+                 reports must run",
             ));
         };
         Ok(match self.form {

@@ -20,8 +20,8 @@ const EVENTS_KEPT: usize = 200;
 /// Maximum number of model classes whose plausibility is stored over time. Further classes are only
 /// shown at their current value.
 const MOST_CLASSES: usize = 64;
-/// Number of points that a reader receives again when it begins to want a series: 20 s of a
-/// waveform, or one second at 20 times real time.
+/// Number of past points that a reader receives when it requests a series: 20 s of a waveform, or
+/// one second at 20 times real time.
 const OVERLAP: u64 = 200;
 /// Name of series that concern all channels together.
 pub(crate) const ALL_CHANNELS: &str = "all";
@@ -494,7 +494,7 @@ impl Store {
     }
 
     /// Returns the new points of each series since a reader's last call, and advances the reader's
-    /// positions. Series that the reader does not want only advance.
+    /// positions. For a series that the reader does not request, only the position advances.
     pub(crate) fn news(
         &self,
         read: &mut BTreeMap<SeriesName, u64>,

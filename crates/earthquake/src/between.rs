@@ -1,4 +1,4 @@
-//! The scatter of one quantity between events, and what a further event is expected to show.
+//! Scatter of one quantity between events, and the prediction for a further event.
 //!
 //! Sources: R. DerSimonian and N. Laird, *Meta-analysis in clinical trials*, Controlled Clinical
 //! Trials 7 (1986), 177-188, for τ². J. P. T. Higgins, S. G. Thompson and D. J. Spiegelhalter, *A

@@ -107,7 +107,7 @@ pub struct EventCourse {
     pub(crate) memory: Memory,
     /// All windows that inform about the parameter, in order of time.
     pub points: Vec<CoursePoint>,
-    /// Whether the record contains shaking, learnt from or not.
+    /// Whether the record contains shaking, even if no window of it informs about the parameter.
     pub has_shaking: bool,
     /// Weak motion before the shaking. `None` without shaking.
     pub before: Option<WeakMotion>,
@@ -188,7 +188,7 @@ impl EventCourse {
         })
     }
 
-    /// Returns the last window that teaches something.
+    /// Returns the last window that informs about the parameter.
     #[must_use]
     pub fn last(&self) -> Option<&CoursePoint> {
         self.points.last()
@@ -198,8 +198,8 @@ impl EventCourse {
 /// Returns the mean of windows.
 ///
 /// Separate windows are pooled with the scatter between them, like events. The windows of a filter
-/// share most of what it remembers, so that the standard deviation within the record does not
-/// decrease with their number. The scatter between them comes on top.
+/// share most of its memory, so their number does not reduce the standard deviation within the
+/// record. The scatter between the windows is added to it.
 fn weak_motion(points: &[&CoursePoint], memory: Memory) -> Option<WeakMotion> {
     if memory == Memory::Separate {
         let values = points.iter().map(|point| EventValue {

@@ -1,4 +1,4 @@
-//! Finds earthquakes in a stream of frames, and cuts the recordings from it that a report needs.
+//! Finds earthquakes in a stream of frames, and selects the frames of the recordings for a report.
 //!
 //! - The offset of each channel is its mean while nothing shakes, with a memory of 30 s.
 //! - Strong motion: within one window ([`window_s`]), two channels differ from their offset by more
@@ -8,8 +8,8 @@
 //!   when no motion has been strong for three windows, from 20 to 40 s.
 //! - Motion that stays strong, as after a step of a sensor, is recorded up to a limit. Its mean then
 //!   becomes the new offset.
-//! - Weak motion is recorded again at set times after an earthquake, while nothing shakes. It is what
-//!   shows a lasting loss.
+//! - Weak motion is recorded again at set times after an earthquake, while there is no strong
+//!   motion. Only weak motion can show a lasting loss.
 //!
 //! Frames have increasing numbers. Missing ones are left out.
 
@@ -137,7 +137,7 @@ enum Doing {
         first: u64,
         last_strong: u64,
         is_strong: bool,
-        /// Whether the recording is complete, although the motion goes on.
+        /// Whether the recording is complete, although the motion continues.
         is_cut: bool,
     },
     Later {
@@ -236,8 +236,8 @@ impl Detection {
         fits
     }
 
-    /// Returns `true` while nothing is recorded. Only then is the state all that a restart needs,
-    /// beside the frames from [`Self::needed_from`] on.
+    /// Returns `true` while nothing is recorded. Only such a state, with the frames from
+    /// [`Self::needed_from`] on, suffices for a restart.
     #[must_use]
     pub fn is_watching(&self) -> bool {
         self.state.doing == Doing::Watching
@@ -272,7 +272,7 @@ impl Detection {
         self.lengths.later / 2
     }
 
-    /// Returns what is due, in the order of time.
+    /// Returns the scheduled recordings of weak motion, in the order of time.
     #[must_use]
     pub fn due(&self) -> &[Due] {
         &self.state.due
@@ -293,13 +293,13 @@ impl Detection {
         self.state.due.truncate(MOST_DUE);
     }
 
-    /// Puts back what a recording was due for, because it has too few frames.
+    /// Schedules the recordings of weak motion again, because the last one has too few frames.
     pub fn put_back(&mut self, due: Vec<Due>) {
         self.state.due.splice(0..0, due);
         self.state.due.truncate(MOST_DUE);
     }
 
-    /// Begins anew with the frames of another run. What is due remains.
+    /// Restarts with the frames of another run. Scheduled recordings remain.
     pub fn restart(&mut self, found: &mut Vec<Detected>) {
         self.interrupt(found);
         self.state.offsets.fill(Offset::default());

@@ -3,8 +3,8 @@
 //!
 //! A filter follows slow changes, but cannot follow a stiffness that halves within two periods. This
 //! fit has no memory and no local optimum: it searches all stiffnesses on a grid. One factor c
-//! multiplies the stiffness of all members, so that the mode shapes stay and all frequencies change
-//! by √c. It cannot tell which member has softened.
+//! multiplies the stiffness of all members, so the mode shapes remain, and all frequencies change
+//! by √c. The fit cannot determine which member has softened.
 //!
 //! Notation:
 //!
@@ -40,7 +40,7 @@ const MOST_MODES: usize = 12;
 const SAMPLES_PER_PERIOD: f64 = 2.0;
 /// Share of the motion that the model must explain. A smaller share also widens the posterior.
 const LEAST_EXPLAINED: f64 = 0.3;
-/// Largest standard deviation of ln c that still says something.
+/// Largest standard deviation of ln c at which a window counts.
 const LARGEST_STD: f64 = 0.35;
 /// Largest posterior probability of both ends of the grid together.
 const LARGEST_AT_ENDS: f64 = 0.02;

@@ -1,5 +1,7 @@
-//! What an earthquake did to a structure: how strongly it shook, how much the structure softened,
-//! whether it recovered, and whether it has lost stiffness for good.
+//! Determines the effect of an earthquake on a structure.
+//!
+//! The crate states how strong the motion was, how much the structure softened, whether it
+//! recovered, and whether it has permanently lost stiffness.
 //!
 //! The inputs are the samples of the sensors and the stiffness estimates of each frame. The outputs
 //! are figures of the motion, the history of each stiffness over the phases of the record, and one

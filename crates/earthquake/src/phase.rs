@@ -1,7 +1,8 @@
-//! Divides a record into windows, and tells strong motion, its consequences and weak motion apart.
+//! Divides a record into windows, and classifies them: strong motion, recovery or weak motion.
 //!
 //! A window lasts 10 fundamental periods, and at least 3 s. The stiffness of a structure depends on
-//! the amplitude, so only weak motion shows whether it has changed for good. Three limits decide:
+//! the amplitude, so only weak motion shows whether it has changed permanently. Three limits
+//! decide:
 //!
 //! - above `weak_peak`, the window is shaking
 //! - for `settling_s` after shaking, stiffness and estimates still recover: settling

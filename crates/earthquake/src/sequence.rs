@@ -3,7 +3,8 @@
 //! Notation: y and s as in [`course`](crate::course), τ and se as in [`between`](crate::between).
 //!
 //! Softening in motion compares the softest window of the shaking with the sound value, which the
-//! earlier events predict with the variance τ² + se². It informs, and says nothing about damage.
+//! earlier events predict with the variance τ² + se². It is reported, but it is not evidence of
+//! damage.
 //!
 //! A lasting loss since event c compares weak motion only: the events before c with event c after its
 //! shaking and all later ones. Their difference is
@@ -27,8 +28,8 @@ use serde::Serialize;
 /// The weak motion of a highway bridge scatters by 10 % of stiffness between events.
 const ASSUMED_SCATTER: f64 = 0.1;
 
-/// Minimum number of earlier events whose own scatter decides. With one degree of freedom, Student's t
-/// has so long tails that it says nothing.
+/// Minimum number of earlier events from which their scatter is estimated. With one degree of
+/// freedom, the tails of Student's t are so long that no interval is of use.
 const FEWEST_EARLIER: usize = 4;
 
 /// Degrees of freedom of a normal distribution.
@@ -101,7 +102,7 @@ pub struct Reference {
     pub degrees_of_freedom: Option<f64>,
 }
 
-/// The softest moment of the shaking.
+/// The softening in the softest window of the shaking.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Softening {
     /// Middle of the softest window since the first frame (s).
@@ -240,7 +241,8 @@ impl EventJudgement {
             .max_by(|a, b| a.1.probability.total_cmp(&b.1.probability))
     }
 
-    /// Returns what is known about a lasting loss since this very event. `None` if it did not shake.
+    /// Returns the judgement of a lasting loss since this event. `None` if the event had no
+    /// shaking.
     #[must_use]
     pub fn own(&self) -> Option<&Candidate> {
         self.lasting
@@ -421,9 +423,9 @@ impl Sequence {
         }
     }
 
-    /// Judges a lasting loss since each event that shook, or whose weak motion was softer than
-    /// predicted: what happened before it may not have been recorded. A raised loss starts a new
-    /// reference.
+    /// Judges a lasting loss since each event with shaking. An event whose weak motion was softer
+    /// than predicted counts as well, because an unrecorded earthquake may have preceded it. A
+    /// raised loss starts a new reference.
     fn lasting(&mut self) -> Vec<Candidate> {
         let mut from = 0;
         let mut candidates = Vec::new();

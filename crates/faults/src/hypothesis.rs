@@ -29,7 +29,7 @@ const FAULTY_GAIN_STD: f64 = 1.0;
 /// Standard deviation of the delay of a faulty channel, in periods of the fundamental.
 const FAULTY_DELAY_STD: f64 = 0.2;
 
-/// Largest delay that is tried, in periods of the fundamental, and the number of steps to it.
+/// Largest delay of the search, in periods of the fundamental, and the number of steps up to it.
 const LONGEST_DELAY: (f64, i32) = (0.5, 25);
 
 /// Share of the amplitude that a sound channel may leave unexplained, and the scatter of this
@@ -89,7 +89,7 @@ pub(crate) struct Responses {
     elastic: Vec<Vec<f64>>,
     frequencies_hz: Vec<f64>,
     fundamental_hz: f64,
-    /// Distance of the tried delays (s).
+    /// Step between two delays of the search (s).
     delay_step_s: f64,
     /// `exp(iωτ)` per tried delay and bin.
     turns: Vec<Vec<Complex<f64>>>,
@@ -430,7 +430,7 @@ impl Relation {
         }
     }
 
-    /// Returns `true` if most of what the channel measures is not the motion of the others.
+    /// Returns `true` if the channel mostly measures something else than the motion of the others.
     fn is_unrelated(&self) -> bool {
         (1.0 - self.coherence).sqrt() > UNEXPLAINED.0 + 2.0 * UNEXPLAINED.1
     }

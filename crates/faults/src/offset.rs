@@ -17,8 +17,9 @@ const REFERENCE_HALF_LIFE_S: f64 = 120.0;
 
 /// Offset from which a channel is faulty, in standard deviations of the stated noise.
 ///
-/// The filter takes an offset for noise. In a building of five storeys with an offset in one of six
-/// channels, it raises a loss of 15 % within 11 s at 10 standard deviations, and not at all at 20.
+/// The filter attributes an offset to noise. Example: a building of five storeys that loses 15 %,
+/// with an offset in one of six channels. With an offset of 10 standard deviations, the loss is
+/// raised within 11 s. With 20, it is not raised at all.
 const LARGE: f64 = 10.0;
 
 /// Number of means in a row that must change little, before a large offset is a fault. Strong
@@ -41,7 +42,7 @@ const RETURNED: f64 = 9.0;
 /// Number of changes before the first statement.
 const FIRST: u32 = 8;
 
-/// Least number of channels. Two cannot tell which of them drifts.
+/// Minimum number of channels. With two channels, it is not known which of them drifts.
 const LEAST_CHANNELS: usize = 3;
 
 /// The offset of each channel of a group.
@@ -82,7 +83,7 @@ impl Offsets {
         }
     }
 
-    /// Closes the present means, `step_s` after the former ones. Returns what they show of each
+    /// Completes the present means, `step_s` after the former ones. Returns their evidence for each
     /// channel.
     ///
     /// - `rigid`: acceleration of each channel for a slow ground acceleration of 1

@@ -148,7 +148,7 @@ impl BandPowers {
         }
     }
 
-    /// Adds the powers since the last window to the memory, of which the share `kept` remains.
+    /// Multiplies the memory by `kept`, and adds the powers since the last window.
     ///
     /// A window without all channels empties the memory.
     pub(crate) fn close(&mut self, kept: f64, is_complete: bool) {

@@ -55,8 +55,8 @@ const LARGEST_GROUP: usize = 24;
 /// must then measure it as well.
 const LOUD: f64 = 4.0;
 
-/// Ratio of the power of a motion below the stated noise to that of the quietest window, and to that in
-/// the memory, from which the motion is compared.
+/// Minimum power at which a motion below the stated noise is compared: as a ratio to the power of
+/// the quietest window, and as a ratio to the power in the memory.
 ///
 /// Larger ratios suspect fewer sound sensors and name fewer faults (docs/theory/sensor-faults.md).
 const AGAINST_QUIET: f64 = 4.0;
@@ -194,8 +194,7 @@ impl SensorCheck {
         Self { groups, state }
     }
 
-    /// Returns what is known of each channel of a frame. `None` for a channel that cannot be
-    /// checked.
+    /// Returns the health of each channel of a frame. `None` for a channel that cannot be checked.
     #[must_use]
     pub fn health(&self) -> &[Option<ChannelHealth>] {
         &self.state.health
@@ -254,7 +253,7 @@ impl SensorCheck {
             .map(|(channel, _)| channel)
     }
 
-    /// Returns `true` if a used channel is suspected that does not count as faulty yet. `is_used`
+    /// Returns `true` if a used channel is suspected, but does not count as faulty yet. `is_used`
     /// receives the index of a channel in a frame.
     ///
     /// This is also the case if a channel measures a motion that no other channel follows.
@@ -572,7 +571,7 @@ impl Group {
         parts.map(group).collect()
     }
 
-    /// Takes the values of a frame. Returns what a window shows that is now complete.
+    /// Processes the values of a frame. Returns the result of a window once it is complete.
     fn take(
         &self,
         state: &mut GroupState,

@@ -36,9 +36,11 @@ impl fmt::Display for LostBecause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NotDelivered => "the instrument did not deliver them",
-            Self::FeedStopped => "the feed did not run, and the instrument cannot repeat them",
+            Self::FeedStopped => {
+                "the feed was not running, and the instrument cannot send them again"
+            }
             Self::Late => "they arrived after wait-s, when their rows had been published",
-            Self::Resynchronised => "they arrived further from their time than jitter-s",
+            Self::Resynchronised => "their arrival deviated from their time by more than jitter-s",
         })
     }
 }

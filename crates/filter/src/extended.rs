@@ -228,10 +228,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         Ok(())
     }
 
-    /// Sets whether the coming frames can teach the parameters anything.
+    /// Sets whether the coming frames contain information about the parameters.
     ///
-    /// If they cannot, the frames update the motion only. The parameters keep their means, and the
-    /// published covariance stays.
+    /// Without it, the frames update the motion only. The means of the parameters and the published
+    /// covariance do not change.
     pub fn set_teaching(&mut self, teaches: bool) {
         self.work.teaches = teaches;
     }

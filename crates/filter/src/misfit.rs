@@ -37,7 +37,8 @@ pub const SCALES: usize = 3;
 /// Number of the shortest lengths whose sums can reveal a jump. Longer sums react too late.
 const JUMP_SCALES: usize = 2;
 
-/// Largest ratio of long-run variance to information that the error of its own estimate explains.
+/// Largest ratio of long-run variance to information that chance can explain, because the ratio is
+/// itself an estimate.
 const EXPLAINED_BY_CHANCE: f64 = 1.3;
 
 /// Factor on a ratio above [`EXPLAINED_BY_CHANCE`], for correlation beyond the longest sum.
@@ -462,8 +463,8 @@ impl Workspace {
         }
     }
 
-    /// Takes back the corrections and the fading of the parameters, because this step cannot teach
-    /// anything.
+    /// Undoes the corrections and the fading of the parameters, because this step contains no
+    /// information about them.
     ///
     /// If the memory faded while the structure is at rest, the first weak motion after it would move
     /// the parameters freely.

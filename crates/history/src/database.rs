@@ -168,8 +168,8 @@ impl Database {
 
     /// Returns the statement that begins a transaction that writes.
     ///
-    /// A transaction of SQLite that first reads fails at once if another process has written before
-    /// its own first write. With `IMMEDIATE`, it waits for the other one instead.
+    /// In SQLite, a transaction that reads first fails if another process writes before its own
+    /// first write. With `IMMEDIATE`, it waits for the other process instead.
     fn begin(&self) -> &'static str {
         match &self.address {
             Address::Sqlite(_) => "BEGIN IMMEDIATE",

@@ -77,7 +77,7 @@ impl HistoryError {
 impl HistoryError {
     /// Returns `true` if the cause is a path that can never be a file, so that a retry is useless.
     ///
-    /// Everything else may pass: a full or read-only disk, a missing right, a server that is away.
+    /// All other causes can end: a full or read-only disk, a missing right, an unreachable server.
     pub(crate) fn is_of_the_path(&self) -> bool {
         let (Self::Folder { source, .. } | Self::File { source, .. }) = self else {
             return false;

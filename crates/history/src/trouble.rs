@@ -1,4 +1,4 @@
-//! What users must know about the state of the database.
+//! Decides which changes of the state of the database are reported to users.
 
 use crate::database::CorruptFile;
 use crate::error::HistoryError;
@@ -15,7 +15,7 @@ pub(crate) enum News {
     SetAside(CorruptFile),
 }
 
-/// Decides what is worth an event and a line of the log.
+/// Decides which changes cause an event and a line in the log.
 #[derive(Debug, Default)]
 pub(crate) struct Trouble {
     /// Number of failures since the last success.

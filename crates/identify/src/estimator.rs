@@ -89,7 +89,7 @@ impl Estimator {
         }
     }
 
-    /// Sets whether the next frame can teach the parameters anything. Particles ignore it.
+    /// Sets whether the next frame contains information about the parameters. Particles ignore it.
     pub fn set_teaching(&mut self, teaches: bool) {
         match self {
             Self::Filter(filter) => filter.set_teaching(teaches),
@@ -329,8 +329,8 @@ impl Estimator {
         }
     }
 
-    /// Returns what the last step predicted for each channel before it used the datum (SI units), also
-    /// for missing channels. Empty if the estimator is not a single filter.
+    /// Returns the prediction of each channel by the last step (SI units), also for missing
+    /// channels. Empty if the estimator is not a single filter.
     #[must_use]
     pub fn predicted(&self) -> &[f64] {
         match self {

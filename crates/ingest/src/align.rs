@@ -103,8 +103,8 @@ pub struct NodePlace {
 impl NodePlace {
     /// Returns the sequence number from which the source must be read again after a restart.
     ///
-    /// Samples that are already part of frames come first. They tell when the node samples, so that
-    /// the next frames do not depend on the restart.
+    /// The first samples are already part of frames. They determine the sampling instants of the
+    /// node, so the next frames do not depend on the restart.
     #[must_use]
     pub fn read_from(&self) -> u64 {
         self.sequence.saturating_sub(WINDOW)

@@ -11,7 +11,7 @@ use std::time::Duration;
 const WINDOW: Duration = Duration::from_secs(5);
 /// Least movement that is reported, ns. Links rarely delay all samples of a window by as much.
 const LEAST_NS: i64 = 100_000_000;
-/// Number of nodes below which nobody can tell whose clock has moved.
+/// Minimum number of nodes. With fewer nodes, it is not known whose clock has moved.
 const LEAST_NODES: usize = 3;
 
 /// A clock that has moved.

@@ -57,7 +57,7 @@ pub(crate) struct NodeQueue {
     /// What has become of the samples of this node.
     pub(crate) counts: NodeCounts,
     /// Epoch and sequence number of the first sample that the recording does not contain. Samples
-    /// of this epoch before it only tell when the node samples.
+    /// of this epoch before it only determine the sampling instants of the node.
     resumed_at: (u64, u64),
     instants: SamplingInstants,
 }

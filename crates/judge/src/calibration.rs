@@ -1,4 +1,4 @@
-//! The threshold that holds the budget, and what it detects.
+//! The threshold that keeps false alarms within the budget, and the losses that it detects.
 //!
 //! The e-detector alone guarantees the budget if the residuals are independent. The
 //! calibration checks this with the residuals of the commissioning: it draws blocks of seven days,
@@ -108,8 +108,8 @@ pub(crate) struct Calibration<'r> {
 }
 
 impl Calibration<'_> {
-    /// Returns ln of the threshold: at least the guaranteed one, and raised until the simulated
-    /// years hold the budget with 90 % credibility. Also returns what the threshold achieves.
+    /// Returns ln of the threshold, and its performance. The threshold starts at the guaranteed
+    /// value and increases until the simulated years meet the budget with 90 % credibility.
     ///
     /// `per_year` is the budget of the quantity, `per_stiffness` the change of ln(value) per change
     /// of ln(stiffness).

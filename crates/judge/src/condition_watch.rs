@@ -49,7 +49,7 @@ struct Still {
     epochs: u32,
 }
 
-/// A jump from which the thermometer has not gone back.
+/// A jump of a thermometer whose values have not returned.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Jump {
     at_s: f64,

@@ -74,7 +74,7 @@ impl Course {
         }
     }
 
-    /// Returns the reference, or what is missing.
+    /// Returns the reference, or the reason why there is none.
     pub(crate) fn reference(&self) -> Result<&Reference, Option<&Missing>> {
         match &self.phase {
             Phase::Judging(judging) => Ok(&judging.reference),
@@ -367,7 +367,7 @@ impl Judging {
     }
 }
 
-/// What a day teaches.
+/// The update of the model by one day.
 #[derive(Debug, Clone, Copy)]
 struct Learnt {
     z: f64,

@@ -56,7 +56,7 @@ impl Day {
 pub(crate) struct DayEpochs {
     /// ln(value) and the conditions of each kept epoch.
     kept: Vec<(f64, Vec<f64>)>,
-    /// Number of epochs so far, and how many of them stand for one that is kept.
+    /// Number of epochs so far, and the number of epochs per stored epoch.
     count: usize,
     stride: usize,
 }
@@ -79,7 +79,8 @@ impl DayEpochs {
         }
     }
 
-    /// Returns the means, or `None` if no epoch had the quantity and all conditions. Starts anew.
+    /// Returns the means of the day and starts the next day. `None` if no epoch had the quantity
+    /// and all conditions.
     ///
     /// Epochs that are far from the others do not count.
     pub(crate) fn take(&mut self, number: i64) -> Option<Day> {

@@ -266,7 +266,7 @@ impl Detector {
 }
 
 impl Candidate {
-    /// Returns h: what remains of a unit step in the residual.
+    /// Returns h, the part of a unit step that is still in the residual.
     fn remainder(&self, x: &DVector<f64>) -> f64 {
         1.0 - x.dot(&self.response)
     }

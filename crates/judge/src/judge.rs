@@ -13,10 +13,10 @@ use serde::{Deserialize, Serialize};
 /// Times outside these years are mistakes (s since 1970-01-01 UTC).
 const YEARS_S: (f64, f64) = (-2_208_988_800.0, 7_258_118_400.0);
 
-/// A moment from which quantities have a new reference.
+/// The start of a new reference for one or all quantities.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NewReference {
-    /// The moment (s since 1970-01-01 UTC).
+    /// Start of the new reference (s since 1970-01-01 UTC).
     pub time_s: f64,
     /// Index of the quantity in the settings, or `None` for all quantities.
     pub quantity: Option<usize>,
@@ -39,7 +39,7 @@ pub struct Judge {
     watches: Vec<ConditionWatch>,
     absence: Option<Absence>,
     courses: Vec<Course>,
-    /// New references that no epoch has reached, in the order of their moments.
+    /// New references that start after the last epoch, in the order of time.
     awaited: Vec<NewReference>,
 }
 
@@ -67,10 +67,11 @@ impl Judge {
         &self.settings
     }
 
-    /// Starts a reference anew with the first later epoch at or after a moment.
+    /// Schedules a new reference. It starts with the next epoch at or after
+    /// [`NewReference::time_s`].
     ///
-    /// The quantity forgets its commissioning, its change, and the epochs of the same day before the
-    /// moment. Epochs that were handled before count as before the moment.
+    /// The commissioning, the change, and the earlier epochs of the same day are then discarded.
+    /// Epochs that were handled before this call count as earlier.
     pub fn start_anew(&mut self, new: NewReference) {
         let place = self
             .awaited

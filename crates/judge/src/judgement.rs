@@ -20,7 +20,8 @@ pub enum State {
     },
     /// The quantity was judged.
     Judged,
-    /// The conditions are new: the interval says nothing, and the day is not judged.
+    /// The conditions did not occur in the commissioning. The day is not judged, and the interval
+    /// has no meaning.
     OutsideExperience {
         /// Reason why the conditions are outside experience.
         novelty: Novelty,
@@ -66,11 +67,11 @@ pub enum Absence {
     Condition(String),
     /// A condition has not changed for a day or longer.
     Frozen(String),
-    /// A thermometer has jumped and has not gone back.
+    /// The values of a thermometer have jumped and have not returned.
     Jumped(String),
 }
 
-/// A lasting change that has been found. It remains until the reference starts anew.
+/// A lasting change that was found. It remains until a new reference starts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finding {

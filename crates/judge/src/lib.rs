@@ -1,5 +1,4 @@
-//! Judges whether a structure has changed for good, under its conditions and with a budget for
-//! false alarms.
+//! Detects lasting changes of a structure with a stated rate of false alarms.
 //!
 //! The inputs are epochs: values of natural frequencies or stiffnesses, with temperatures and other
 //! conditions. The outputs are one judgement per quantity and day. During the commissioning, the

@@ -1,4 +1,4 @@
-//! The reference: what the commissioning has taught, or what is missing.
+//! The reference, which is learnt in the commissioning.
 
 use crate::calibration::{Calibration, Performance, Steps};
 use crate::choice::Choice;
@@ -91,7 +91,10 @@ impl std::fmt::Display for Missing {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Season { days, needed } => {
-                write!(f, "the commissioning spans {days} days and needs {needed}")?;
+                write!(
+                    f,
+                    "the commissioning spans {days} days, must span at least {needed}"
+                )?;
                 match i64::from(*needed) == YEAR_DAYS {
                     true => f.write_str(", because no temperature is measured"),
                     false => Ok(()),
@@ -99,12 +102,12 @@ impl std::fmt::Display for Missing {
             }
             Self::Days { days, needed } => write!(
                 f,
-                "{days} days have the quantity and all conditions, {needed} are needed"
+                "{days} days have the quantity and all conditions, must be at least {needed}"
             ),
             Self::Coverage { found, needed } => write!(
                 f,
-                "the 95 % interval holds {:.0} % of the later days of the commissioning and must \
-                 hold {:.0} %; a condition may be missing",
+                "the 95 % interval contains {:.0} % of the later days of the commissioning, must \
+                 contain at least {:.0} %; a condition may be missing",
                 100.0 * found,
                 100.0 * needed
             ),
@@ -121,7 +124,7 @@ impl Reference {
     /// Learns from the days of a commissioning, in ascending order.
     ///
     /// # Errors
-    /// Returns what is missing.
+    /// The data do not suffice for a reference. The error states the reason.
     pub(crate) fn learn(
         days: &[Day],
         quantity: &Quantity,

@@ -1,4 +1,4 @@
-//! What a reference promises and what it can find.
+//! Report of a reference: its rate of false alarms, and the changes that it can detect.
 
 use crate::calibration::Performance;
 use crate::course::Course;
@@ -6,7 +6,7 @@ use crate::judgement::Finding;
 use crate::reference::Missing;
 use serde::{Deserialize, Serialize};
 
-/// State of the judgement of one quantity: its reference, or what it lacks, and its finding.
+/// State of the judgement of one quantity: its reference, or why there is none, and its finding.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct QuantityReport {
     /// Name of the quantity.

@@ -8,7 +8,7 @@ use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use tracing::warn;
 
-/// Name of the file, beside that of the epochs.
+/// Name of the file, in the folder of the epochs.
 pub(crate) const FILE: &str = "judge-annotations.jsonl";
 
 /// The annotations of one structure, which are kept in a file.

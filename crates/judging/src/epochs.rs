@@ -446,7 +446,7 @@ impl ConditionSource {
 
 impl ConditionValues {
     /// Returns the mean value in an epoch, or the last one before it if that still holds at its
-    /// start. Forgets what later epochs do not need.
+    /// start. Drops values that later epochs do not need.
     fn at(&mut self, epoch: i64, start_ns: i64) -> Option<f64> {
         let (number, mean) = self.by_epoch.range(..=epoch).next_back()?;
         let (number, mean) = (*number, *mean);

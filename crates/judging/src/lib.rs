@@ -7,8 +7,8 @@
 //! The file is a series that `spandrel judge --series` reads. After a restart, the service reads it
 //! with the same reader, so both give the same judgements, bit for bit.
 //!
-//! The service takes annotations of people. One with a new reference makes the judge forget what it
-//! has learnt before. Annotations are in a file beside the epochs.
+//! Users can send annotations. An annotation with a new reference discards the former reference.
+//! Annotations are stored in the same folder as the epochs.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
 //! - [`course_row`]: a judgement as a row of the history of the quantity

@@ -84,8 +84,8 @@ pub struct JudgeService {
     not_kept: u64,
 }
 
-/// What judges epochs on a thread of its own, because a reference takes longer than an async thread
-/// may be blocked.
+/// The state that judges epochs. It runs on a separate thread, because learning a reference would
+/// block an async thread for too long.
 #[derive(Debug)]
 struct Bench {
     judging: Judging,
@@ -300,7 +300,7 @@ impl JudgeService {
         self.take_annotations().await
     }
 
-    /// Keeps what people have noted, and confirms each annotation with an event.
+    /// Stores the received annotations, and confirms each one with an event.
     async fn take_annotations(&mut self) -> Result<(), JudgingError> {
         while let Ok((_, annotation)) = self.annotations.messages().try_recv() {
             let told = annotation.clone();
@@ -453,7 +453,7 @@ impl Bench {
                 refused += u64::from(judging.handle(&closed, &mut Vec::new()).is_err());
             })?;
             if refused > 0 {
-                warn!(epochs = refused, "the judge refused epochs that were saved");
+                warn!(epochs = refused, "saved epochs rejected");
             }
             self.log = Some(log);
         }
@@ -493,7 +493,7 @@ impl Bench {
                 Ok(is_day_over) => outcome.is_day_over |= is_day_over,
                 Err(error) => {
                     outcome.refused += 1;
-                    warn!(%error, "the judge refused an epoch");
+                    warn!(%error, "epoch rejected");
                 }
             }
         }

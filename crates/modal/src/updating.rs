@@ -6,7 +6,7 @@
 //! - `part_model`: the model, its modes and their derivatives
 //! - `observation`: the modes of an epoch
 //! - `scatter`: how much sound epochs scatter
-//! - `reference`: what the commissioning tells
+//! - `reference`: the reference, from the epochs of the commissioning
 //! - `change`: the change since then
 //! - `comparison`: whether the modes of a model agree with measured ones
 

@@ -2,8 +2,8 @@
 //!
 //! A declared mode starts with the nearest mode of an epoch within its tolerance, and then belongs to
 //! a tracked mode of [`Tracker`]. It may move away from its declared frequency, as a damaged
-//! structure does. If it is lost and another mode persists near the declared frequency, it starts
-//! anew with that one. Other modes that persist are proposed, and never adopted.
+//! structure does. If it is lost and another mode persists near the declared frequency, this other
+//! mode replaces it. Further modes that persist are proposed, and never adopted.
 
 use crate::error::ModesError;
 use crate::stiffness::Stiffnesses;
@@ -342,7 +342,7 @@ impl DeclaredModes {
             (false, true, _) => told.push(Told {
                 kind: EventKind::ModeLost,
                 subject,
-                what: format!("nothing is stated about mode {name} any more"),
+                what: format!("mode {name} is lost, and its values are not published"),
                 why: match followed.last_hz {
                     Some(last_hz) => format!(
                         "it was found in {:.0} % of the last {} epochs, last at {last_hz:.4} Hz",
@@ -358,7 +358,7 @@ impl DeclaredModes {
             (true, false, _) => told.push(Told {
                 kind: EventKind::ModeFound,
                 subject,
-                what: format!("mode {name} is stated again"),
+                what: format!("mode {name} is found again"),
                 why: format!(
                     "it was found in {:.0} % of the last {} epochs",
                     100.0 * presence,

@@ -160,7 +160,7 @@ impl Following {
         self.advance(gap.to);
     }
 
-    /// Begins anew if the frames are those of another run.
+    /// Restarts if the frames belong to another run.
     fn enter(&mut self, epoch: u64) {
         if self
             .position

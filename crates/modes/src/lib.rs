@@ -2,8 +2,8 @@
 //!
 //! Takes the frames of ingest and the table `[modal]` of the structure file. Publishes frequency,
 //! damping ratio and shape of each declared mode after each epoch, and proposes modes that are not
-//! declared. No excitation is measured. If the file asks for it, the modes update the stiffnesses of
-//! its model, which are published as parameters.
+//! declared. It needs no measured excitation. If the file requests it, the modes update the
+//! stiffnesses of the model, which are published as parameters.
 //!
 //! `spandrel modes` uses the same core for a recording, so both give the same modes, bit for bit.
 //!

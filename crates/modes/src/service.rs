@@ -17,7 +17,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tracing::info;
 
-/// Interval at which each mode is published again, for those who have subscribed meanwhile.
+/// Interval at which each mode is published again, for new subscribers.
 const REPEAT_EVERY: Duration = Duration::from_secs(5);
 /// After a stop, the service waits until no frame has arrived for this long.
 const LAST_FRAMES: Duration = Duration::from_millis(100);

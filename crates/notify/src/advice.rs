@@ -1,4 +1,4 @@
-//! What to look at first, in one or two sentences.
+//! The advice of a notice: the first action to take, in one or two sentences.
 
 use crate::content::{Report, Scene};
 use spandrel_bus::{
@@ -90,7 +90,7 @@ fn of_alert(alert: &AlertMessage, scene: &Scene<'_>) -> String {
     if !scene.monitoring.is_some_and(is_watched) {
         return format!("Inspect {part}, and check the data: not all of the structure is watched.");
     }
-    format!("Inspect {part} first: the data are good, and nothing speaks against the loss.")
+    format!("Inspect {part} first: the data are good, and nothing contradicts the loss.")
 }
 
 fn of_monitoring(display: &MonitoringDisplay, scene: &Scene<'_>) -> String {

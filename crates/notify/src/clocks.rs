@@ -51,7 +51,7 @@ struct Wrong {
     /// Whether the status of ingest lists the clock as wrong. It does not list clocks that differ
     /// without a majority.
     is_listed: bool,
-    /// Since when nothing says that the clock is wrong.
+    /// Time since which no message has reported the clock as wrong.
     ended: Option<Duration>,
 }
 

@@ -48,7 +48,7 @@ pub(crate) struct Summary {
 pub(crate) struct Circumstances {
     /// Description of the structure; empty without one.
     pub(crate) title: String,
-    /// Where the structure stands; empty if the structure file does not say.
+    /// Location of the structure; empty if the structure file does not state it.
     pub(crate) place: String,
     /// How well the model explains the data; empty if it is not assessed.
     pub(crate) fit: String,
@@ -419,7 +419,7 @@ impl Scene<'_> {
         let shown: Vec<String> = channels.iter().take(MOST_LISTED).map(share).collect();
         let more = match channels.len().saturating_sub(MOST_LISTED) {
             0 => String::new(),
-            more => format!(" and {more} channels with more"),
+            more => format!(" and {more} channels with a larger share"),
         };
         let words = display.words();
         format!(

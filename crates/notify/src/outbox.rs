@@ -539,7 +539,7 @@ impl Outbox {
     }
 
     /// Records the result of an attempt. Returns `true` if a failure must be logged: the first
-    /// failure of the receiver in a row, and then each one that doubles the length of the row.
+    /// consecutive failure of the receiver, and then each one that doubles their number.
     pub(crate) fn done(&mut self, receiver: usize, is_sent: bool, now: Duration) -> bool {
         let Some(place) = self.boxes.get_mut(receiver) else {
             return false;

@@ -32,9 +32,9 @@ pub enum NoticeState {
     Degraded,
     /// The data of a structure reveal damage of every part again.
     Watching,
-    /// A quantity has lost stiffness for good.
+    /// A quantity has permanently lost stiffness.
     LastingLoss,
-    /// A quantity has become stiffer for good.
+    /// A quantity has permanently become stiffer.
     Stiffer,
     /// A report of an earthquake is ready.
     EarthquakeReport,

@@ -329,8 +329,8 @@ impl FrameLog {
         Ok(())
     }
 
-    /// Returns `true` if the files that are being written are no longer at their paths: somebody has
-    /// moved or deleted them, or their disk is away. What is appended then is lost to the folder.
+    /// Returns `true` if the open files are no longer at their paths. They were moved or deleted,
+    /// or their disk is not mounted. Frames appended then are missing from the folder.
     #[must_use]
     pub fn is_lost(&self) -> bool {
         let is_there =
@@ -482,8 +482,8 @@ impl FrameLog {
 
     /// Deletes the oldest segments that are too old.
     ///
-    /// The clock of this machine must say so, as the file system recorded it, and the times of the
-    /// frames must not contradict it. A jump of either clock then deletes nothing. The start of the
+    /// A segment is too old by its modification time, and the times of its frames must not
+    /// contradict that. A jump of either clock therefore deletes nothing. The start of the
     /// next segment marks the end of a segment. Frames later than `newest_ns` have a wrong time.
     fn delete_older_than(&self, newest_ns: i64) -> Result<(), RecordError> {
         let keep_ns =

@@ -43,7 +43,7 @@ impl<W: Write> MiniSeedWriter<W> {
     }
 
     /// Writes all samples of channel `number` (from 1), times `factor`. A missing sample ends a
-    /// record. A channel without a rate has no times, so the caller must refuse it.
+    /// record. A channel without a rate has no times, so the caller must reject it.
     ///
     /// # Errors
     /// The output cannot be written, or a time is outside the years 1 to 9999.

@@ -14,7 +14,7 @@ pub(crate) struct Recorded {
     pub(crate) rows: Vec<(i64, Vec<f64>)>,
 }
 
-/// What is known of a recording beside its samples.
+/// Description of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) struct About {
@@ -38,7 +38,7 @@ pub(crate) enum CutOutput {
     },
     /// A recording is complete.
     Record(Recorded),
-    /// A later recording has too few samples, and is tried again.
+    /// A later recording has too few samples, and will be repeated.
     TooFew {
         /// What it was due for.
         due: Vec<Due>,
@@ -57,7 +57,7 @@ struct Run {
     t0_ns: Option<i64>,
 }
 
-/// What a restart needs, beside the frames from [`Cutting::needed_from`] on.
+/// The state for a restart, which also needs the frames from [`Cutting::needed_from`] on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct CuttingState {
     detection: DetectionState,

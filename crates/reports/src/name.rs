@@ -54,7 +54,7 @@ pub(crate) fn waiting_for_samples(due: &[Due]) -> Vec<String> {
     let sentence = |(after, of): (String, Vec<String>)| {
         let s = if of.len() == 1 { "" } else { "s" };
         let of = of.join("; ");
-        format!("No samples arrive. The judgement {after} after the earthquake{s} of {of} waits.")
+        format!("The judgement {after} after the earthquake{s} of {of} waits for samples.")
     };
     earthquakes.into_iter().map(sentence).collect()
 }
@@ -91,18 +91,18 @@ mod tests {
         assert_eq!(
             waiting_for_samples(&all),
             [
-                "No samples arrive. The judgement 1 d after the earthquake of 1 January 1970, 00:01 \
-                 UTC waits.",
-                "No samples arrive. The judgement 1 h and 1 d after the earthquake of 1 January \
-                 1970, 00:00 UTC waits.",
+                "The judgement 1 d after the earthquake of 1 January 1970, 00:01 UTC waits for \
+                 samples.",
+                "The judgement 1 h and 1 d after the earthquake of 1 January 1970, 00:00 UTC waits \
+                 for samples.",
             ]
         );
         let same = [due(60, hour), due(0, hour)];
         assert_eq!(
             waiting_for_samples(&same),
             [
-                "No samples arrive. The judgement 1 h after the earthquakes of 1 January 1970, 00:00 \
-                 UTC; 1 January 1970, 00:01 UTC waits."
+                "The judgement 1 h after the earthquakes of 1 January 1970, 00:00 UTC; 1 January \
+                 1970, 00:01 UTC waits for samples."
             ]
         );
     }

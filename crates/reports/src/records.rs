@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// Permissions of the folder. Only the owner has access.
 const FOLDER_MODE: u32 = 0o700;
 /// Share of the recordings that remain when there are too many. The history of the earlier events
-/// is then computed anew, so this must be rare.
+/// is then computed again, so this must be rare.
 const REMAINING: f64 = 0.9;
 
 /// Reason why a recording or a report is not kept.
@@ -235,7 +235,7 @@ impl Records {
     }
 }
 
-/// Forces a file to the disk, and gives it its name. The next checkpoint counts on both.
+/// Syncs a file to disk, and renames it. The next checkpoint assumes that both are done.
 fn settle(part: &Path, path: &Path) -> Result<(), KeepError> {
     let forced = File::open(part).and_then(|file| file.sync_all());
     let renamed = forced.and_then(|()| std::fs::rename(part, path));

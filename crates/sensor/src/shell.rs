@@ -285,7 +285,7 @@ impl SensorService {
         info!(
             structure = self.keys.structure().as_str(),
             frame = last.end(),
-            "nodes resume where the frames end"
+            "nodes resume after the last frame"
         );
         let nodes = self.cutter.nodes().to_vec();
         let cutter =

@@ -133,7 +133,7 @@ struct Client {
 }
 
 impl Client {
-    /// Returns the line about the refusals that had no line.
+    /// Returns the line that summarises the refusals without a line of their own.
     fn summary(self, refused: Refused, who: String) -> AuditLine {
         AuditLine {
             refused,

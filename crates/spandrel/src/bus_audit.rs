@@ -28,7 +28,7 @@ const MOST_CHARACTERS: usize = 1024;
 const MOST_PARTIES: usize = 4096;
 /// Maximum number of refusals that wait for the name of their party.
 const MOST_WAITING: usize = 4096;
-/// Time that a refusal waits for the name of its party.
+/// Maximum time for which a refusal waits for the name of its party.
 const LONGEST_WAIT: Duration = Duration::from_secs(5);
 /// Interval between summaries.
 const PASS_EVERY: Duration = Duration::from_secs(1);
@@ -51,7 +51,7 @@ const DECISIONS: &str = "zenoh::net::routing::interceptor::access_control";
 pub enum Scope {
     /// Failed handshakes, and peers that stopped reading.
     Peers,
-    /// The same, and what a router or an isolated process does not permit.
+    /// The same, and messages that a router or an isolated process does not permit.
     Router,
 }
 
@@ -87,7 +87,8 @@ enum Task {
     Finish(flume::Sender<()>),
 }
 
-/// Reports what still waits for the name of its party. For the end of the process.
+/// Reports the refusals that still wait for the name of their party. Call it before the process
+/// exits.
 pub fn finish() {
     let (done, is_done) = flume::bounded(1);
     let asked = READER

@@ -213,17 +213,17 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
         _ => None,
     });
     if let Some(excitations) = rests {
-        return format!("rests on {excitations}");
+        return format!("depends on {excitations}");
     }
     let mut verdicts = findings.iter().filter_map(|line| match &line.finding {
         Finding::Uninformed { parameter: of, .. } if of == parameter => {
             Some("not identified".to_owned())
         }
         Finding::ParametersConfounded { first, second, .. } if first == parameter => {
-            Some(format!("not apart from {second}"))
+            Some(format!("confounded with {second}"))
         }
         Finding::ParametersConfounded { first, second, .. } if second == parameter => {
-            Some(format!("not apart from {first}"))
+            Some(format!("confounded with {first}"))
         }
         Finding::LevelConfounded {
             parameter: of,
@@ -231,8 +231,8 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
             adapted,
             ..
         } if of == parameter => Some(match adapted {
-            true => format!("not apart from the level of {level}"),
-            false => format!("rests on the level of {level}"),
+            true => format!("confounded with the level of {level}"),
+            false => format!("depends on the level of {level}"),
         }),
         Finding::SlowToSettle { parameter: of, .. } if of == parameter => Some("slow".to_owned()),
         Finding::NotObservable
@@ -637,7 +637,7 @@ mod tests {
                 .is_some_and(|line| line.contains("measure ground on a channel")),
             "{text}"
         );
-        assert!(text.contains("  rests on ground"), "{text}");
+        assert!(text.contains("  depends on ground"), "{text}");
         assert!(
             text.contains("these results hold only if the model is right"),
             "{text}"

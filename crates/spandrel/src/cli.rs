@@ -211,7 +211,8 @@ pub enum Command {
 }
 
 impl Command {
-    /// Returns what Zenoh may refuse to others in this process. `None` if nobody connects to it.
+    /// Returns the kinds of requests that Zenoh can refuse in this process. `None` if no other
+    /// process connects to it.
     pub fn audited(&self) -> Option<Scope> {
         match self {
             Self::Router(_) | Self::Run(_) => Some(Scope::Router),
@@ -733,7 +734,7 @@ pub struct JudgeArguments {
     /// Print one JSON object per line: every judgement of every day.
     #[arg(long)]
     pub json: bool,
-    /// Annotations of the service (judge-annotations.jsonl), for the new references in it.
+    /// File judge-annotations.jsonl of the service judge. Its new references apply.
     #[arg(long, value_name = "FILE", requires = "series")]
     pub annotations: Option<PathBuf>,
     /// Write one row per quantity and day to this CSV file.
@@ -764,7 +765,8 @@ pub struct EarthquakeArguments {
     /// Only weaker motion can show a lasting loss.
     #[arg(long, value_name = "M/S2", value_parser = positive, allow_negative_numbers = true)]
     pub strong: Option<f64>,
-    /// Loss of stiffness that matters, as a share [default: that of the table, otherwise 0.05].
+    /// Loss of stiffness that matters, as a share [default: that of the table
+    /// earthquakes, otherwise 0.05].
     #[arg(long, value_name = "SHARE", value_parser = below_1, allow_negative_numbers = true)]
     pub loss: Option<f64>,
     /// Minimum probability at which a loss is reported [default: that of the table earthquakes, otherwise 0.99].

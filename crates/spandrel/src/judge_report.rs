@@ -100,7 +100,7 @@ fn names<T>(of: &[T], name: fn(&T) -> &String) -> Vec<&str> {
     of.iter().map(|one| name(one).as_str()).collect()
 }
 
-/// What happened in a series, and how it ended.
+/// Summary of a series: its judgements, and its final state.
 pub struct Summary<'j> {
     structure: &'j str,
     epochs: usize,
@@ -180,7 +180,7 @@ impl fmt::Display for Summary<'_> {
     }
 }
 
-/// Returns what a commissioning of less than a year cannot tell.
+/// Returns the warning about a commissioning of less than a year.
 fn short_text(days: i64) -> String {
     format!(
         "the commissioning of {days} days does not contain all seasons; a seasonal change can look \

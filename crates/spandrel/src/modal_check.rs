@@ -1,4 +1,4 @@
-//! Report of a check: what the natural frequencies of a structure can tell, and what they cannot.
+//! Report of a check: the quantities that natural frequencies can and cannot identify.
 //!
 //! The structure has no model, or the natural frequencies update its model. The report is text for
 //! people, or JSON.
@@ -204,7 +204,7 @@ fn unseen(parts: &[PartLine]) -> Option<String> {
     let unseen: Vec<&str> = unseen.map(|part| part.name.as_str()).collect();
     (!unseen.is_empty()).then(|| {
         format!(
-            "changes of {}, which the declared modes hardly show",
+            "changes of {}, which hardly affect the declared modes",
             unseen.join(", ")
         )
     })
@@ -295,8 +295,7 @@ fn warnings(modes: &[ModeLine]) -> Vec<String> {
         };
         for other in modes[position + 1..].iter().filter(overlaps) {
             all.push(format!(
-                "{} and {} are first looked for in overlapping ranges; a smaller `within` keeps \
-                 them apart",
+                "the initial search ranges of {} and {} overlap; a smaller `within` separates them",
                 mode.name, other.name
             ));
         }
@@ -387,7 +386,7 @@ impl ModalCheckPage {
         let width = names.max().unwrap_or(0).max("declared mode".len());
         writeln!(
             f,
-            "\n  {:width$}  frequency (Hz)  looked for (Hz)   ± (Hz)  ± stiffness (%)",
+            "\n  {:width$}  frequency (Hz)    searched (Hz)   ± (Hz)  ± stiffness (%)",
             "declared mode"
         )?;
         for mode in &self.modes {

@@ -139,7 +139,7 @@ impl fmt::Display for SensorPage {
             let Some(health) = health else {
                 writeln!(
                     f,
-                    "  {name:<20} not checked: no measured ground motion along it"
+                    "  {name:<20} not checked: no measured ground motion in its direction"
                 )?;
                 continue;
             };

@@ -163,7 +163,7 @@ pub async fn keep_folders<T>(state: Option<&State>, keys: Vec<Keys>) -> T {
         let looked =
             tokio::task::spawn_blocking(move || keys.iter().for_each(|k| state.restore_folders(k)));
         if let Err(error) = looked.await {
-            warn!(%error, "cannot look at the state folder");
+            warn!(%error, "cannot access the state folder");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Where a structure stands on the earth.
+//! Geographic location of a structure.
 
 use serde::Serialize;
 

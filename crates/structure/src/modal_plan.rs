@@ -15,7 +15,7 @@ pub struct ModalPlan {
     pub names: Vec<String>,
     /// The declared modes, in the order of the file.
     pub modes: Vec<DeclaredMode>,
-    /// The stiffnesses that the modes update. `None` if the file does not ask for it.
+    /// The stiffnesses that the modes update. `None` if the file does not request an update.
     pub update: Option<UpdatePlan>,
 }
 
@@ -35,9 +35,9 @@ pub struct UpdatePlan {
 pub struct DeclaredMode {
     /// Name of the mode.
     pub name: String,
-    /// Natural frequency at which the mode is first looked for (Hz).
+    /// Middle of the frequency range in which the mode is initially searched (Hz).
     pub frequency_hz: f64,
-    /// Relative distance from this frequency within which it is first looked for.
+    /// Half-width of this range, relative to its middle.
     pub within: f64,
 }
 

@@ -130,13 +130,13 @@ impl Structure {
         &self.description
     }
 
-    /// Returns where the structure stands, from the file. Empty if the file does not say.
+    /// Returns the location of the structure, in words. Empty if the file does not state it.
     #[must_use]
     pub fn location(&self) -> &str {
         &self.place
     }
 
-    /// Returns whom to call about an alarm, from the file. Empty if the file does not say.
+    /// Returns the contact for alarms. Empty if the file does not state one.
     #[must_use]
     pub fn contact(&self) -> &str {
         &self.contact

@@ -63,7 +63,7 @@ pub enum AnnotationEffect {
     None,
     /// Somebody has seen the lasting change that is known at this time.
     Seen,
-    /// The reference starts anew with the first epoch at or after the beginning.
+    /// A new reference starts with the first epoch at or after [`Annotation::from_ns`].
     NewReference,
 }
 

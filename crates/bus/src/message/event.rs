@@ -64,7 +64,7 @@ pub enum EventKind {
     Annotation,
     /// A mode persists that the structure file does not declare.
     ModeProposed,
-    /// A declared mode is missing so often that nothing is stated about it.
+    /// A declared mode is found too rarely, so its values are not published.
     ModeLost,
     /// A declared mode was found, for the first time or again.
     ModeFound,

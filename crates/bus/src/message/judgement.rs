@@ -148,9 +148,9 @@ pub struct JudgementDisplay {
     pub measured: bool,
     /// State of the last day.
     pub state: JudgementState,
-    /// The lasting change that has been found. It remains until the reference starts anew.
+    /// The lasting change that was found. It remains until a new reference starts.
     pub change: Option<LastingChange>,
-    /// The person who has seen the change. `None` without a change, and until somebody has.
+    /// The person who has seen the change. `None` if there is no change or nobody has seen it.
     #[serde(default)]
     pub seen: Option<ChangeSeen>,
     /// State and change in one sentence.

@@ -15,7 +15,7 @@ pub enum ModeState {
     Tracked,
     /// The mode was not found in the epoch.
     Missing,
-    /// The mode is missing so often that nothing is stated about it.
+    /// The mode is found too rarely, so its values are not published.
     Lost,
     /// The mode cannot be told apart from another one. Only their mean frequency has a meaning.
     Paired,

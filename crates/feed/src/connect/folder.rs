@@ -16,12 +16,12 @@ use crate::core_input::Link;
 use crate::packet::Packet;
 use crate::source_plan::DropFolder;
 
-/// Interval between two looks at the folder. A file that has not changed between two looks is
+/// Interval at which the folder is listed. A file that has not changed since the last time is
 /// complete.
 const POLL: Duration = Duration::from_secs(1);
 /// Maximum number of samples in a packet.
 const PACKET: usize = 256;
-/// Maximum number of remembered files. The oldest are forgotten first.
+/// Maximum number of files in the list of files that were read. The oldest are removed first.
 const MAX_REMEMBERED: usize = 100_000;
 
 /// A file that was read.

@@ -20,7 +20,7 @@ use crate::core_input::Link;
 use crate::lines::{LineFormat, LineSplitter, Split, cells};
 use crate::source_plan::{GrowingFile, StartAt};
 
-/// Interval between two looks at a file.
+/// Interval at which a file is checked for new data.
 const POLL: Duration = Duration::from_millis(200);
 /// Size of a read in bytes.
 const READ_BYTES: usize = 64 << 10;
@@ -48,7 +48,7 @@ pub(crate) async fn read(plan: GrowingFile, since_ns: Option<i64>, outlet: Outle
     }
 }
 
-/// Result of one look at the file.
+/// Result of one check of the file.
 enum Step {
     /// Bytes were read.
     Read,
@@ -227,7 +227,7 @@ impl Follower {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Ok(VecDeque::new());
             }
-            Err(error) => return Err(format!("cannot look at {}: {error}", path.display())),
+            Err(error) => return Err(format!("cannot access {}: {error}", path.display())),
         };
         let is_same = self
             .last

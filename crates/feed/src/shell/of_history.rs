@@ -1,4 +1,4 @@
-//! What the feed asks of the history: the newest value of each condition at the start.
+//! Queries of the feed to the history: the newest value of each condition at the start.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! What the feed asks of ingest: the last frame at the start, and its progress afterwards.
+//! Queries of the feed to ingest: the last frame at the start, and the progress afterwards.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -97,7 +97,9 @@ impl Part {
         if is_without_date(last_ns) || last_ns > now_ns {
             warn!(
                 structure,
-                last_ns, now_ns, "the last frame is not of the past; the feed does not resume"
+                last_ns,
+                now_ns,
+                "the last frame is in the future or has no date; the feed does not resume"
             );
             return false;
         }

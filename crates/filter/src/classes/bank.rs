@@ -49,7 +49,7 @@ pub struct ClassBank<S: ComponentSystem> {
     state: BankState,
     events: Vec<ClassEvent>,
     work: Workspace,
-    /// Whether the coming frames can teach anything.
+    /// Whether the coming frames contain information about the parameters.
     teaches: bool,
 }
 
@@ -455,10 +455,10 @@ impl<S: ComponentSystem> ClassBank<S> {
         adapts || self.template.outliers.is_some()
     }
 
-    /// Sets whether the coming frames can teach the parameters anything, as in
+    /// Sets whether the coming frames contain information about the parameters, as in
     /// [`ExtendedKalmanFilter::set_teaching`].
     ///
-    /// If they cannot, the plausibilities stay as well, and nothing is calibrated.
+    /// Without it, the plausibilities do not change either, and nothing is calibrated.
     pub fn set_teaching(&mut self, teaches: bool) {
         self.teaches = teaches;
         let filters = self.members.iter_mut().map(|member| &mut member.filter);

@@ -62,7 +62,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         );
     }
 
-    /// Takes back what a step without information has changed. Measures the effect of misfit on the
+    /// Undoes the changes by a step without information. Measures the effect of misfit on the
     /// parameters, reduces the corrections of this step accordingly and follows jumps.
     pub(super) fn answer_misfit(&mut self, normalised_innovation_squared: f64) {
         let Self {

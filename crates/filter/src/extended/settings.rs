@@ -67,8 +67,8 @@ pub struct FilterSettings {
 }
 
 impl FilterSettings {
-    /// Creates settings with no forgetting, no bounds, known noise covariances, no start-up aid, and
-    /// a sensor of its own for each observation.
+    /// Creates settings with no forgetting, no bounds, known noise covariances, no start-up aid,
+    /// and one sensor per observation.
     #[must_use]
     pub fn new(
         step_s: f64,

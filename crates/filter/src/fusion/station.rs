@@ -91,8 +91,8 @@ pub struct Fused {
     /// `true` if the fused density was invalid or its means were out of range, and the station
     /// restarted from the prior.
     pub restarted_from_prior: bool,
-    /// `true` if the station adopted the information of its nodes, because they knew more from a
-    /// past that it does not know.
+    /// `true` if the station adopted the information of its nodes. It does so after a restart if
+    /// they know more than its checkpoint.
     pub adopted: bool,
 }
 
@@ -225,8 +225,8 @@ impl Station {
     ///
     /// The first fusion fades the density by its own time since this restart of the clock.
     ///
-    /// Messages of nodes that were answered after the checkpoint start from a past that this
-    /// station does not know, see [`Fused::adopted`].
+    /// If nodes were answered after the checkpoint, this station does not know the densities from
+    /// which their messages start. See [`Fused::adopted`].
     ///
     /// # Errors
     /// Returns an error if the state does not fit the settings. The station is then unchanged.

@@ -1,5 +1,5 @@
-//! The database file: created for its owner alone, recognised when it is gone, set aside when it is
-//! corrupt.
+//! The database file. Only its owner has access. This module detects that the file is missing, and
+//! renames a corrupt file.
 
 use crate::error::HistoryError;
 use jiff::Timestamp;
@@ -39,7 +39,7 @@ impl FileId {
 pub(super) enum Folder {
     /// The first start: a missing folder is created.
     Create,
-    /// The folder existed before. It may be on a disk that is away, so it must come back by itself.
+    /// The folder existed before. Its disk may be unmounted, so a missing folder is not created.
     MustExist,
 }
 

@@ -70,7 +70,7 @@ impl Motion {
         };
     }
 
-    /// Begins anew with the frames of another epoch.
+    /// Restarts with the frames of another epoch.
     pub(super) fn restart(&mut self) {
         self.found.clear();
         self.detection.restart(&mut self.found);

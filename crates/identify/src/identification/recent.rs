@@ -18,7 +18,7 @@ pub(super) struct Inputs<'a> {
     pub(super) excitation: &'a [f64],
     /// Reliability of each component.
     pub(super) shares: &'a [f64],
-    /// Whether the motion teaches the parameters.
+    /// Whether the motion contains information about the parameters.
     pub(super) teaches: bool,
 }
 

@@ -242,7 +242,7 @@ pub(super) struct Reliability {
     state: ReliabilityState,
     /// `κ` of each component.
     shares: Vec<f64>,
-    /// Whether the present motion teaches the parameters.
+    /// Whether the present motion contains information about the parameters.
     teaches: bool,
 }
 
@@ -283,7 +283,7 @@ impl Reliability {
         &self.shares
     }
 
-    /// Returns `true` if the present motion teaches the parameters.
+    /// Returns `true` if the present motion contains information about the parameters.
     pub(super) fn teaches(&self) -> bool {
         self.teaches
     }

@@ -165,8 +165,8 @@ impl Identification {
                     "the sensor may be faulty ({}): alerts are suspended",
                     words()
                 ),
-                "its motion differs from that of the other sensors where the stiffness has no \
-                 effect",
+                "its motion differs from that of the other sensors at frequencies at which the \
+                 stiffness has no effect",
             ),
             (Soundness::Faulty, Soundness::Sound | Soundness::Unchecked) => (
                 EventKind::ChannelBack,
@@ -312,7 +312,7 @@ fn reason(fault: Option<Fault>) -> &'static str {
         Some(Fault::Drift(_)) => "damage does not move the mean of an acceleration",
         Some(Fault::Clipped(_)) => "the peaks of a motion differ in height",
         Some(Fault::Exchanged) => {
-            "around the first natural frequency, it moves as the other one did in the baseline"
+            "around the first natural frequency, it moves as another sensor did in the baseline"
         }
         _ => {
             "below the first natural frequency, all sensors along a direction measure the same \

@@ -1,10 +1,11 @@
 //! Sudden faults of a sensor, which the comparison of the sensors finds too late.
 //!
-//! The parameters can explain a sensor that has just died, so that it looks like damage. When they
-//! jump, the filter is therefore tried without one sensor: it continues from its state before the
-//! jump, and its parameters are held. If the other sensors still measure what it predicts, the
-//! structure has not changed, and the sensor that deviates is faulty. The filter then continues
-//! without this sensor. If the others deviate as well, the structure has changed.
+//! A change of the parameters can explain the samples of a sensor that has just failed, so the
+//! fault looks like damage. When the parameters jump, the filter is therefore repeated without one
+//! sensor, from its state before the jump and with constant parameters. If the other sensors still
+//! agree with its prediction, the structure has not changed, and the deviating sensor is faulty.
+//! The filter then continues without this sensor. If the others deviate as well, the structure has
+//! changed.
 //!
 //! The deviation of a sensor is the mean square of its residuals, as a share of that of the predicted
 //! values. With a wrong model, a sound sensor deviates as well. The trial therefore compares each
@@ -50,8 +51,9 @@ const LEAST_OTHERS: usize = 2;
 /// Growth of the deviation up to which a sensor agrees again.
 const SOUND: f64 = 3.0;
 
-/// Mean square that the fault would cause in the present motion, as a multiple of the variance of the
-/// stated noise, from which the sensor can show that it agrees again.
+/// Minimum mean square that the fault would cause in the present motion, as a multiple of the
+/// variance of the stated noise. In weaker motion, a left-out sensor cannot show that it works
+/// again.
 const VISIBLE: f64 = 20.0;
 
 /// Largest variance of a dead sensor, as a share of the mean square of the prediction.
@@ -462,7 +464,7 @@ impl Identification {
                 time_ns,
                 EventKind::ChannelBack,
                 "the sensor is used again",
-                "it measures what the other sensors imply again",
+                "its samples agree with the other sensors again",
             ));
         }
         let fit = self.estimator.fit();

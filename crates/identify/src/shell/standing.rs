@@ -1,5 +1,5 @@
-//! The role of the service among others that identify the same structure: it joins, stands by,
-//! takes over or steps back.
+//! Leader election among the services that identify the same structure. A service joins, becomes a
+//! standby, takes over as the leader, or stops publishing.
 
 use super::{IdentifyService, follow_frames, new_core, start_of};
 use crate::error::IdentifyError;

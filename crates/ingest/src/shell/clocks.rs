@@ -78,8 +78,9 @@ impl IngestService {
         Ok(())
     }
 
-    /// Returns the clocks of the nodes that do not sample at the times of the frames, whose time
-    /// differs from that of most nodes, or whose source states their quality.
+    /// Returns the clocks to show: of nodes that do not sample at the times of the frames, of nodes
+    /// whose time differs from that of most nodes, and of nodes whose source states a clock
+    /// quality.
     pub(super) fn node_clocks(&self) -> BTreeMap<Name, NodeClock> {
         let names = self.layout.nodes().iter().map(|node| node.name.clone());
         let own = names.clone().zip(self.core.node_clocks());

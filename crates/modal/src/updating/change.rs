@@ -63,7 +63,7 @@ struct Rows {
     scatter: f64,
 }
 
-/// What rows tell about d at one level of scatter.
+/// The information of rows about d at one level of scatter.
 struct Told {
     information: DMatrix<f64>,
     pull: DVector<f64>,

@@ -29,7 +29,7 @@ pub struct Comparison {
     /// Standard deviation of the natural frequency of the model (Hz), from the covariance of the
     /// stiffnesses.
     pub model_std_hz: f64,
-    /// Whether the 99.9 % intervals of both frequencies are apart by more than the error of a usable
+    /// Whether the frequencies differ by more than both 99.9 % intervals and the error of a usable
     /// model, 5 %.
     pub is_apart: bool,
 }

@@ -1,4 +1,4 @@
-//! What an epoch tells about the modes of a structure with a model.
+//! The measured modes of one epoch, for a structure with a model.
 
 use crate::identify::Mode;
 use nalgebra::{Complex, DMatrix, DVector};

@@ -1,4 +1,4 @@
-//! The reference of the stiffnesses: what the commissioning tells.
+//! The reference of the stiffnesses, from the epochs of the commissioning.
 //!
 //! The mean frequencies and shapes of the commissioning calibrate the model: the stiffnesses x_ref
 //! are the most probable ones under the prior and a stated error of the model. Later epochs are

@@ -1,8 +1,8 @@
 //! The scatter of frequencies and shapes between epochs beyond their stated deviations.
 //!
-//! Temperature, the strength of the motion and what no model knows change a sound structure from
-//! epoch to epoch. The scatter τ² has a scaled inverse χ² prior. It is integrated over levels, so
-//! that few epochs of commissioning give intervals as wide as those of Student.
+//! Temperature, the strength of the motion and unmodelled effects change the modes of a sound
+//! structure from epoch to epoch. The scatter τ² has a scaled inverse χ² prior. It is integrated
+//! over levels, so that few epochs of commissioning give intervals as wide as those of Student.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 const FREQUENCY_SCALE: f64 = 0.004;
 /// Scale τ₀ of the prior for the values of a shape of unit norm.
 const SHAPE_SCALE: f64 = 0.03;
-/// Degrees of freedom of the prior: as much as four values of a commissioning tell.
+/// Degrees of freedom of the prior. Its weight is that of four values of a commissioning.
 const PRIOR_FREEDOM: f64 = 4.0;
 /// Factors of τ₀² of the levels. They cover τ₀/4 to 8 τ₀.
 const LEVELS: [f64; 6] = [1.0 / 16.0, 1.0 / 4.0, 1.0, 4.0, 16.0, 64.0];

@@ -166,7 +166,7 @@ impl Receiver {
                 .first()
                 .map(|held| held.content.circumstances.clone());
             let mut content = Content::new(summary, of_first.unwrap_or_default());
-            content.circumstances.advice = "Read the lines below. A notice of its own follows for \
+            content.circumstances.advice = "Read the lines below. A separate notice follows for \
                                             each state that lasts."
                 .to_owned();
             self.waiting

@@ -113,7 +113,7 @@ fn sensor_check(structure: &Structure, baseline: Option<&Path>) -> Result<Sensor
         .collect();
     if !unknown.is_empty() {
         let (path, unknown) = (path.display(), unknown.join(", "));
-        warn!("{path}: has learnt nothing about the sensors {unknown}; the usual scatter applies");
+        warn!("{path}: contains no reference for the sensors {unknown}; default scatter applies");
     }
     Ok(check)
 }

@@ -338,7 +338,7 @@ pub fn stiffness(report: &EventReport, parameter: &ParameterReport) -> String {
         svg.word(
             "label",
             [LEFT + 6.0, BOTTOM - 8.0],
-            "no window teaches anything",
+            "no window with information",
         );
     }
     svg.word("tick", [2.0, TOP - 9.0], "ratio");

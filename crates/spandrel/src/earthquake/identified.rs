@@ -11,7 +11,7 @@ use spandrel_earthquake::FrameEstimate;
 use spandrel_identify::Identification;
 use spandrel_structure::Structure;
 
-/// Share of the prior standard deviation below which a frame teaches something about a parameter.
+/// Share of the prior standard deviation below which a frame informs about a parameter.
 const LEARNING: f64 = 0.5;
 
 /// The estimates of a recording.

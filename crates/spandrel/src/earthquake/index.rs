@@ -128,7 +128,7 @@ fn later_first(a: &Entry, b: &Entry) -> Ordering {
 /// Returns the page of the list, with sentences about what waits.
 pub fn html(entries: &[Entry], waiting: &[String]) -> String {
     let mut page = head("Earthquake reports");
-    page += "<header>\n<p class=\"kicker\">Earthquake reports</p>\n<h1>Who needs an inspector first</h1>\n\
+    page += "<header>\n<p class=\"kicker\">Earthquake reports</p>\n<h1>Order of inspections</h1>\n\
              </header>\n<section>\n<table class=\"list\">\n<thead><tr><th scope=\"col\">urgency</th>\
              <th scope=\"col\">structure</th><th scope=\"col\">event</th>\
              <th scope=\"col\">result</th><th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n\

@@ -38,7 +38,7 @@ pub fn html(report: &EventReport) -> String {
     };
     format!(
         "{head}<table class=\"judged\">\n<thead><tr><th scope=\"col\">stiffness</th>\
-         <th scope=\"col\">softest while it shook</th>\
+         <th scope=\"col\">softest during the shaking</th>\
          <th scope=\"col\">earlier events predict</th>\
          <th scope=\"col\">at the end</th>\
          <th scope=\"col\">weak motion</th>\

@@ -83,7 +83,7 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>], occasion: &str) -> Stri
         page += &figure(
             &format!("Stiffness of {}", parameter.name),
             "Ratio to nominal in each window, with its 95 % interval within this record. Dashed: the \
-             data contradict the model. Windows without a value teach nothing about the stiffness.",
+             data contradict the model. Windows without a value contain no information.",
             &charts::stiffness(report, parameter),
         );
         if parameter.events.len() > 1 {

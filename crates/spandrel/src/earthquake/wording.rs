@@ -178,8 +178,8 @@ fn unjudged_parts(report: &EventReport) -> Vec<Told<'_>> {
         let judgement = &parameter.judgement;
         if parameter.course.points.is_empty() {
             tell(
-                "the record teaches nothing about this stiffness. It moves too little, or its data \
-                 cannot be used."
+                "the record contains no information about this stiffness. The motion is too weak, \
+                 or the data cannot be used."
                     .to_owned(),
             );
         }
@@ -194,8 +194,8 @@ fn unjudged_parts(report: &EventReport) -> Vec<Told<'_>> {
         }
         if parameter.course.has_shaking && judgement.softening.is_none() {
             tell(
-                "the softening in the shaking is not known, because no window of it teaches \
-                 enough, or because nothing shows the sound stiffness."
+                "the softening during the shaking is not known. No window of the shaking contains \
+                 enough information, or the sound stiffness is unknown."
                     .to_owned(),
             );
         }
@@ -323,7 +323,7 @@ fn lasting_headline(report: &EventReport) -> Option<String> {
     let range = percent_range(loss.interval.low, loss.interval.high);
     let found = match loss {
         loss if loss.is_raised => format!(
-            "{} has lost {} of its stiffness for good since {since} ({range}).",
+            "{} has permanently lost {} of its stiffness since {since} ({range}).",
             capitalised(name),
             percent(loss.loss)
         ),
@@ -370,12 +370,13 @@ fn softened(name: &str, softening: &Softening, report: &EventReport) -> String {
     );
     let mut text = match softening.is_raised {
         _ if softening.change >= 0.0 => format!(
-            "While it shook, {name} did not soften: its softest window was stiffer by {}",
+            "During the shaking, {name} did not soften: its softest window was stiffer by {}",
             percent(softening.change)
         ),
-        true => format!("While it shook, {name} was softer by {size}"),
+        true => format!("During the shaking, {name} was softer by {size}"),
         false => format!(
-            "While it shook, {name} was softer by {size}: more than {} with probability {} only",
+            "During the shaking, {name} was softer by {size}, but by more than {} only with \
+             probability {}",
             percent(report.settings.loss),
             probability(softening.probability)
         ),

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 
 /// Loss whose probability is stated for a parameter that no rule watches.
 const LOSS: f64 = 0.1;
-/// Correlation of two changes from which on the modes hardly tell them apart.
+/// Correlation of two changes above which the modes hardly distinguish them.
 const TRADE: f64 = 0.7;
 
 /// The stiffnesses over all epochs.
@@ -192,8 +192,8 @@ pub fn trading(precision: &UpdatePrecision, names: &[&str]) -> Vec<String> {
                     "their difference"
                 };
                 all.push(format!(
-                    "{name} and {partner} are hardly told apart: the modes see {together} \
-                     (correlation {correlation:.2})"
+                    "the modes hardly distinguish {name} and {partner}, and mainly determine \
+                     {together} (correlation {correlation:.2})"
                 ));
             }
         }

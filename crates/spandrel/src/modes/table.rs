@@ -20,7 +20,7 @@ const DIFFERS: f64 = 3.0;
 pub struct Recordings<'a> {
     /// The path of a file or folder.
     pub path: &'a Path,
-    /// The recordings, of which there is at least one.
+    /// The recordings, at least one.
     pub all: &'a [Frames],
     /// The first one.
     pub first: &'a Frames,

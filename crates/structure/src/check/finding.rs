@@ -315,7 +315,7 @@ impl fmt::Display for Finding {
                 f.write_str(if *adapted {
                     "; the file requests to adapt that level: state or measure it instead"
                 } else {
-                    "; the result depends on the stated level, do not adapt it"
+                    "; the result depends on the stated level; do not adapt that level"
                 })
             }
             Self::SlowToSettle {

@@ -119,7 +119,7 @@ fn read_reset_std(section: &mut Section<'_>, kind: Option<Kind>) -> f64 {
         ClassesPlan::RESET_STD,
     );
     if kind == Some(Kind::Predefined) && section.contains("reset-std") {
-        let allowed = "must not be given for kind \"predefined\", which calibrates nothing";
+        let allowed = "must not be given for kind \"predefined\", which has no calibration";
         section.diagnostics().report(
             section.span_of("reset-std"),
             section.key("reset-std"),

@@ -172,8 +172,8 @@ pub(super) fn check_particles(
         ),
         (
             "classes",
-            "must not be given with filter.kind = \"particle\": particles take all parameters \
-             singly",
+            "must not be given with filter.kind = \"particle\": particles identify each parameter \
+             separately",
         ),
     ] {
         if file.contains(table) {

@@ -37,7 +37,7 @@ pub(super) fn read_force_field(
     let mean = section.number_for_each("mean", Allowed::ANY, len);
     if section.contains("mean") && system.is_some_and(|system| system.hysteresis.is_some()) {
         let allowed =
-            "must not be given for the kind bouc-wen, whose springs do not rest under a force";
+            "must not be given for the kind bouc-wen, whose springs have no rest position";
         section
             .diagnostics()
             .report(section.span(), section.key("mean"), "is given", allowed);

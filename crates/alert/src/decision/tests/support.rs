@@ -528,8 +528,8 @@ fn reference_of_uncertain_estimates_is_learnt_again() {
     assert_eq!(drive.revisions(Undecided), [(1, 50)]);
     assert_eq!(
         drive.alerts[1].why,
-        "no decision on storey-2: a span of 20 s was too uncertain for a reference, so that it is \
-         learnt again (estimate 0.980 ± 0.200)"
+        "no decision on storey-2: the estimate was too uncertain for a reference during a span of \
+         20 s, so the reference is being learnt again (estimate 0.980 ± 0.200)"
     );
     let undecided: Vec<_> = drive.decision.decided_frames().undecided().collect();
     assert_eq!(undecided, [(UndecidedBecause::NothingLearnt, 41)]);

@@ -135,11 +135,12 @@ impl Station {
         (instant - other).abs() <= self.settings.same_instant
     }
 
-    /// Adopts the information of nodes whose past this station does not know. Returns `true` if it
-    /// did.
+    /// Adopts the information of nodes that start from a density unknown to this station. Returns
+    /// `true` if it did.
     ///
-    /// This requires that at least half of the used nodes have such a past, and that they know more
-    /// than the station. Otherwise, a restarted station would answer with its prior.
+    /// This requires that at least half of the used nodes start from such a density, and that they
+    /// know more than the station. Without this step, a restarted station would answer with its
+    /// prior.
     ///
     /// All these nodes were answered with the same density, so their mean information counts
     /// nothing twice.

@@ -97,7 +97,7 @@ pub(super) fn unpredictable(parameter: &ParameterReport, report: &EventReport) -
         let hidden = percent(2.0 * report.settings.loss);
         let range = ratios(predicted);
         return format!(
-            "the earlier events predict {range}, which does not reveal a loss of {hidden}"
+            "the earlier events predict {range}, which is too wide to reveal a loss of {hidden}"
         );
     }
     let found = parameter.judgement.earlier();
