@@ -538,8 +538,8 @@ async fn the_router_logs_refused_certificates_and_messages() {
     data_settled(grace.session()).await;
 
     let ada = site.join("viewer.ada").await;
-    // Without a subscriber, a declared publisher sends nothing. A busy machine drops messages of the
-    // default congestion control before they are sent.
+    // Without a subscriber, a declared publisher sends nothing. A busy machine drops messages of
+    // the default congestion control before they are sent.
     let subscriber = grace.session().declare_subscriber(&key).await.unwrap();
     let (session, event) = (ada.session(), keys.event());
     let declared = session.declare_publisher(key.clone());
@@ -790,7 +790,8 @@ fn acknowledge_on(page: &Process) -> (u16, String) {
     let body = r#"{"who": "Grace"}"#;
     let mut stream = std::net::TcpStream::connect(address).unwrap();
     let head = format!(
-        "POST /api/structures/demo/alerts/storey-2/acknowledge HTTP/1.1\r\nHost: {address}\r\nConnection: close"
+        "POST /api/structures/demo/alerts/storey-2/acknowledge HTTP/1.1\r\nHost: {address}\r\n\
+         Connection: close"
     );
     let length = body.len();
     write!(
@@ -960,8 +961,9 @@ fn a_router_file_that_admits_strangers_is_rejected() {
     run("{ mode: ")
         .expect_code(2)
         .expect_told(&["router.json5"]);
-    let tls = "transport: { link: { tls: { root_ca_certificate: \"/nowhere/a.pem\", enable_mtls: true, \
-               listen_certificate: \"/nowhere/r.pem\", listen_private_key: \"/nowhere/r.key\" } } }";
+    let tls = "transport: { link: { tls: { root_ca_certificate: \"/nowhere/a.pem\", enable_mtls: \
+               true, listen_certificate: \"/nowhere/r.pem\", \
+               listen_private_key: \"/nowhere/r.key\" } } }";
     run(&format!(
         "{{ listen: {{ endpoints: [\"quic/127.0.0.1:0\"] }}, {quiet}, {tls} }}"
     ))
@@ -1015,7 +1017,8 @@ fn certificates_can_be_set_in_the_configuration() {
     let _router = site.router();
     let file = site.folder().join("spandrel.toml");
     let text = format!(
-        "structures = [{:?}]\n[bus]\nmode = \"client\"\nconnect = [{:?}]\n[bus.tls]\ncertificate = \"worker.main.pem\"\n",
+        "structures = [{:?}]\n[bus]\nmode = \"client\"\nconnect = [{:?}]\n[bus.tls]\n\
+         certificate = \"worker.main.pem\"\n",
         five_storeys(),
         site.endpoint()
     );

@@ -6,14 +6,18 @@ use spandrel_bus::{
 };
 
 /// Damage of storey 2 at 20 s, and a rule relative to the design.
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                       credibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 /// Storey 2 with 90 % of its design stiffness from the start and damage at 40 s, and a rule
 /// relative to the learnt reference.
-const WEAK_FROM_THE_START: &str = "[[alert]]\nparameters = [\"storey-2\"]\nloss = 0.05\nsustain-s = 5\n\
+const WEAK_FROM_THE_START: &str = "[[alert]]\nparameters = [\"storey-2\"]\nloss = 0.05\n\
+                                   sustain-s = 5\n\
                                    reference = { learn-s = 25 }\n\
-                                   [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.10\n\
-                                   [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\nloss = 0.18\n";
+                                   [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\n\
+                                   loss = 0.10\n\
+                                   [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\n\
+                                   loss = 0.18\n";
 
 /// Running services and all their alert messages.
 struct Watched {
@@ -416,7 +420,8 @@ fn log_in_json_is_one_object_per_line() {
 /// receive its state.
 #[tokio::test(flavor = "multi_thread")]
 async fn query_returns_the_normal_state_of_a_sound_parameter() {
-    let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\nreference.design-std = 1e-9\n";
+    let rule = "[[alert]]\nparameters = [\"storey-1\"]\nloss = 0.2\ncredibility = 0.99\n\
+                reference.design-std = 1e-9\n";
     let watched = Watched::start(rule).await;
     let view = watched.site.watch();
     let record = watched.site.simulate(20.0);

@@ -171,7 +171,8 @@ fn matrices(folder: &TempDir, mass: &str, stiffness: &str) -> String {
     write(folder, "m.mtx", &matrix(mass));
     write(folder, "k1.mtx", &matrix("2e6\n-1e6\n-1e6\n1e6"));
     write(folder, "k2.mtx", &matrix(stiffness));
-    let model = "kind = \"matrices\"\nmass = \"m.mtx\"\nsubstructures = { storey-1 = \"k1.mtx\", storey-2 = \"k2.mtx\" }\n\
+    let model = "kind = \"matrices\"\nmass = \"m.mtx\"\n\
+                 substructures = { storey-1 = \"k1.mtx\", storey-2 = \"k2.mtx\" }\n\
                  degrees-of-freedom = [\"floor-1\", \"floor-2\"]\n";
     building_with(
         "kind = \"shear-building\"\nstoreys = 2\nmass-kg = 20_000\nfirst-frequency-hz = 2.0\n",

@@ -1,7 +1,7 @@
 //! The sensor node in C, compiled with zenoh-pico, against a running ingest.
 //!
-//! The test needs CMake, a C compiler, and the folder of zenoh-pico in `ZENOH_PICO`: its sources, or
-//! the folder in which it is installed.
+//! The test needs CMake, a C compiler, and the folder of zenoh-pico in `ZENOH_PICO`: its sources,
+//! or the folder in which it is installed.
 
 use crate::support::{Process, Site, skip, two_storeys, within, zenoh_pico_or_skip};
 use spandrel_bus::{Delivery, FrameBlock, Start, StreamSettings};

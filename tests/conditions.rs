@@ -129,7 +129,8 @@ async fn a_temperature_in_a_datagram_reaches_history_page_metrics_and_view() {
     let site = house();
     let address = free_udp();
     let source = format!(
-        "kind = \"udp\"\naddress = \"{address}\"\nformat = \"json\"\ntime-field = \"at\"\ntime-unit = \"ns\""
+        "kind = \"udp\"\naddress = \"{address}\"\nformat = \"json\"\ntime-field = \"at\"\n\
+         time-unit = \"ns\""
     );
     let configuration = configure(&site, &source);
     let mut command = site.listening("run");
@@ -198,7 +199,8 @@ async fn a_history_that_starts_after_the_feed_stores_the_standing_temperature() 
     let site = house();
     let address = free_udp();
     let source = format!(
-        "kind = \"udp\"\naddress = \"{address}\"\nformat = \"json\"\ntime-field = \"at\"\ntime-unit = \"ns\""
+        "kind = \"udp\"\naddress = \"{address}\"\nformat = \"json\"\ntime-field = \"at\"\n\
+         time-unit = \"ns\""
     );
     let configuration = configure(&site, &source);
     let ingest = Process::start(&mut site.listening("ingest"));
@@ -386,7 +388,8 @@ fn mistakes_of_a_condition_end_the_program_before_it_starts() {
     let finished = Process::start(&mut command).wait().expect_code(2);
     for expected in [
         "feed.source[0].condition[0].condition: is \"water\", must be one of air (house)",
-        "feed.source[0].condition[0].sign: is an unknown key here, must be one of condition, offset, sensitivity, source, structure",
+        "feed.source[0].condition[0].sign: is an unknown key here, must be one of condition, \
+         offset, sensitivity, source, structure",
     ] {
         assert!(finished.stderr.contains(expected), "{}", finished.stderr);
     }

@@ -115,7 +115,8 @@ fn replay<'a>(
         }
     }
     println!(
-        "{} of {} seeds accepted, and {decoded} of {} damaged copies; at most {most_bytes} bytes of memory",
+        "{} of {} seeds accepted, and {decoded} of {} damaged copies; at most {most_bytes} bytes \
+         of memory",
         accepted.len(),
         seeds.len(),
         seeds.len() * SEEDS.len() * copies

@@ -31,7 +31,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 /// all its states.
 fn damaged(at_s: f64) -> String {
     format!(
-        "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n\
+        "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+         credibility = 0.99\nsustain-s = 3\n\
          [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = {at_s}\nloss = 0.15\n"
     )
 }

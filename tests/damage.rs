@@ -20,7 +20,8 @@ fn with_damage(name: &str, parameter: &str, loss: f64, over_s: f64) -> String {
     let text = std::fs::read_to_string(example(name)).unwrap();
     let (before, _) = text.split_once("[[simulation.damage]]").unwrap();
     format!(
-        "{before}[[simulation.damage]]\nparameter = \"{parameter}\"\nat-s = 60\nloss = {loss}\nover-s = {over_s}\n"
+        "{before}[[simulation.damage]]\nparameter = \"{parameter}\"\nat-s = 60\nloss = {loss}\n\
+         over-s = {over_s}\n"
     )
 }
 
@@ -91,8 +92,8 @@ impl NormalisedErrors {
             let sum: f64 = errors.iter().map(|error| error * error).sum();
             assert!(
                 CHI_SQUARED.contains(&sum),
-                "{name}: sum of squared normalised errors is {sum:.2}, must lie in {CHI_SQUARED:?}: \
-                 {errors:.2?}"
+                "{name}: sum of squared normalised errors is {sum:.2}, must lie in \
+                 {CHI_SQUARED:?}: {errors:.2?}"
             );
         }
     }
@@ -318,7 +319,8 @@ fn sound_hour(seed: u64) {
     let covered = covered.map(|count| count / counted);
     let misfit = misfit.map(|sum| sum / counted);
     println!(
-        "seed {seed}: 95 % interval covers {covered:.3?}, normalised innovation squared {misfit:.3?}"
+        "seed {seed}: 95 % interval covers {covered:.3?}, normalised innovation squared \
+         {misfit:.3?}"
     );
     let raised = alerts
         .iter()

@@ -182,7 +182,8 @@ fn workers_behind_two_routers_share_a_station_pages_and_postgresql() {
             said.contains("demo") && said.contains("dashpot-building")
         });
     // The database: its contents, and the protection of its connections.
-    let kept = "sudo -u postgres psql spandrel -Atc \"SELECT structure FROM happened WHERE kind = 'alert'\"";
+    let kept = "sudo -u postgres psql spandrel -Atc \"SELECT structure FROM happened WHERE kind = \
+                'alert'\"";
     let both = |said: &str| {
         ["spandrel/demo", "spandrel/dashpot-building"]
             .iter()
@@ -195,8 +196,8 @@ fn workers_behind_two_routers_share_a_station_pages_and_postgresql() {
     );
     computers.follow("database");
     assert!(computers.is_through());
-    let connected = "sudo -u postgres psql -Atc \"SELECT DISTINCT version, client_dn FROM pg_stat_ssl \
-                     JOIN pg_stat_activity USING (pid) WHERE usename = 'spandrel'\"";
+    let connected = "sudo -u postgres psql -Atc \"SELECT DISTINCT version, client_dn FROM \
+                     pg_stat_ssl JOIN pg_stat_activity USING (pid) WHERE usename = 'spandrel'\"";
     assert_eq!(
         computers.said("database", connected).trim(),
         "TLSv1.3|/CN=history.main"

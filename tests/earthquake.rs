@@ -85,8 +85,8 @@ fn archive(name: &str) -> String {
     format!("{name}_ce89324p.zip")
 }
 
-/// The acceptance of the judgement: softening in the three strong earthquakes, no lasting loss before
-/// 20 December 2022, and the figures after it.
+/// The acceptance of the judgement: softening in the three strong earthquakes, no lasting loss
+/// before 20 December 2022, and the figures after it.
 #[test]
 fn bridge_in_21_earthquakes_softens_three_times_and_raises_no_loss_before_december_2022() {
     let Some(records) = records_or_skip("painter-street-bridge") else {
@@ -179,7 +179,8 @@ pub fn building() -> String {
         text += &format!(
             "\n[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"absolute-acceleration\"\n\
              dof = {floor}\nunit = \"m/s2\"\nnoise-std = 0.01\nnoise-group = \"floors\"\n\
-             adapt-noise = true\n\n[[parameter]]\nname = \"storey-{floor}\"\nscales = \"stiffness\"\n\
+             adapt-noise = true\n\n[[parameter]]\nname = \"storey-{floor}\"\n\
+             scales = \"stiffness\"\n\
              of = [\"storey-{floor}\"]\nstd = 0.3\n"
         );
     }
@@ -278,8 +279,8 @@ pub fn respond(
     rows
 }
 
-/// Writes the recordings of a building whose first storey has these stiffnesses, event by event, and
-/// returns their reports in the order of time.
+/// Writes the recordings of a building whose first storey has these stiffnesses, event by event,
+/// and returns their reports in the order of time.
 fn simulated_events(folder: &Path, events: &[(f64, f64)]) -> Vec<Value> {
     events_of(folder, &building(), events)
 }
@@ -434,8 +435,8 @@ fn alert_that_is_raised_in_weak_motion_is_the_headline() {
     assert!(!text.contains("no sign of change"), "{text}");
 }
 
-/// Returns the lowest root of det(K − λM) of the chain, in units of k/m, by bisection of the sign of
-/// the Sturm sequence.
+/// Returns the lowest root of det(K − λM) of the chain, in units of k/m, by bisection of the sign
+/// of the Sturm sequence.
 fn lowest_eigenvalue(first_storey: f64) -> f64 {
     let diagonal = [first_storey + 1.0, 2.0, 1.0];
     let has_below = |lambda: f64| {

@@ -557,7 +557,8 @@ async fn lines_over_tcp_go_on_after_a_broken_connection() {
     let logger = TcpListener::bind("127.0.0.1:0").unwrap();
     let text = format!(
         "[[feed.source]]\nname = \"logger\"\nkind = \"tcp\"\naddress = \"{}\"\nformat = \"csv\"\n\
-         separator = \";\"\ncolumns = [\"t\", \"a\", \"b\"]\ntime-field = \"t\"\ntime-unit = \"ns\"\n",
+         separator = \";\"\ncolumns = [\"t\", \"a\", \"b\"]\ntime-field = \"t\"\n\
+         time-unit = \"ns\"\n",
         logger.local_addr().unwrap()
     ) + &channels(["a", "b"]);
     let feed = start_feed(&site, &configure(&site, &text));

@@ -10,7 +10,8 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Damage of storey 2 at 40 s, and a rule relative to the design.
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                       credibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 40\nloss = 0.15\n";
 const LENGTH_S: f64 = 100.0;
 

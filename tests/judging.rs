@@ -117,7 +117,8 @@ impl Others {
                     self.put(row, deck(row.deck)).await;
                 }
             }
-            // An epoch is closed in the second next one, and a day with the first epoch of the next.
+            // An epoch is closed in the second next one, and a day with the first epoch of the
+            // next.
             self.wait_for(FIRST_DAY + i64::from(until) - 2).await;
         }
     }
@@ -162,8 +163,8 @@ impl Others {
         .await;
     }
 
-    /// Returns the words of a quantity in the order of their first appearance. If several days end at
-    /// once, only the last one is published.
+    /// Returns the words of a quantity in the order of their first appearance. If several days end
+    /// at once, only the last one is published.
     fn words(&self, quantity: &str) -> Vec<&'static str> {
         let of_it = self.judged.iter().filter(|((_, name), _)| name == quantity);
         let mut words = Vec::new();
@@ -206,8 +207,8 @@ impl Others {
         .await;
     }
 
-    /// Returns the course by `spandrel judge --series` of the storey, without the last day, which is
-    /// not over.
+    /// Returns the course by `spandrel judge --series` of the storey, without the last day, which
+    /// is not over.
     fn offline_course(&self) -> String {
         let series = find(&self.state_folder(), "judge-epochs.csv");
         let days = self.site.folder().join("days.csv");

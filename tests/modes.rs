@@ -1,5 +1,5 @@
-//! Tests of the built binary with `spandrel modes`: modes, machines and dead channels of recordings,
-//! the report, and wrong input.
+//! Tests of the built binary with `spandrel modes`: modes, machines and dead channels of
+//! recordings, the report, and wrong input.
 
 use crate::support::records_or_skip;
 use serde_json::Value;
@@ -273,8 +273,8 @@ fn modes_of_the_z24_bridge_are_the_published_ones() {
     }
 }
 
-/// Returns the first natural frequency of the first two epochs of a record of the Z24 bridge, and its
-/// standard deviation (Hz).
+/// Returns the first natural frequency of the first two epochs of a record of the Z24 bridge, and
+/// its standard deviation (Hz).
 fn first_frequencies(folder: &Path, name: &str) -> Option<[[f64; 2]; 2]> {
     let record = records_or_skip(&format!("z24-damage-test/{name}.csv.gz"))?;
     let csv = folder.join(format!("{name}.csv")).display().to_string();
@@ -300,8 +300,8 @@ fn first_frequencies(folder: &Path, name: &str) -> Option<[[f64; 2]; 2]> {
     Some([next(), next()])
 }
 
-/// One or two epochs after the pier was lowered, the loss of stiffness exceeds 3 % with a probability
-/// of 0.99. Between two epochs of one state, it does not.
+/// One or two epochs after the pier was lowered, the loss of stiffness exceeds 3 % with a
+/// probability of 0.99. Between two epochs of one state, it does not.
 #[test]
 fn two_epochs_tell_the_lowered_pier_of_the_z24_bridge() {
     const QUANTILE: f64 = 2.326;
@@ -344,8 +344,8 @@ fn dead_sensors_of_a_floating_bridge_are_named() {
     }
 }
 
-/// Regression test: the standard deviation of the damping ratio of one epoch decided, so that lightly
-/// damped fundamental modes were not listed.
+/// Regression test: the standard deviation of the damping ratio of one epoch decided, so that
+/// lightly damped fundamental modes were not listed.
 #[test]
 fn all_modes_of_a_lightly_damped_structure_are_listed() {
     let folder = tempfile::tempdir().unwrap();

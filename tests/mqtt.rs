@@ -107,7 +107,8 @@ fn send(stream: &mut TcpStream, kind: u8, body: &[u8]) {
 
 fn configure(site: &Site, address: &str, more: &str) -> PathBuf {
     let text = format!(
-        "[[feed.source]]\nname = \"broker\"\nkind = \"mqtt\"\naddress = \"{address}\"\ntopic = \"house/+/acc\"\n{more}\n"
+        "[[feed.source]]\nname = \"broker\"\nkind = \"mqtt\"\naddress = \"{address}\"\n\
+         topic = \"house/+/acc\"\n{more}\n"
     ) + &channels(["x", "y"]);
     feed::configure(site, &text)
 }

@@ -268,7 +268,8 @@ where
         }
     }
     println!(
-        "{kind}: {} bytes; {decoded} damaged states behind a right checksum decoded, {restored} were taken",
+        "{kind}: {} bytes; {decoded} damaged states behind a right checksum decoded, {restored} \
+         were taken",
         whole.len()
     );
     assert!(decoded > 0 && restored <= decoded);

@@ -185,8 +185,8 @@ async fn malformed_queries_are_counted_and_hardly_logged() {
     services.stop().expect_code(0);
 }
 
-/// Regression: to close the connection of a suspended subscriber blocked a thread of Zenoh for 10 s.
-/// Two of them stopped all reception, nodes disappeared, and samples were lost.
+/// Regression: to close the connection of a suspended subscriber blocked a thread of Zenoh for 10
+/// s. Two of them stopped all reception, nodes disappeared, and samples were lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn suspended_subscribers_delay_nobody_and_are_disconnected() {
     const READERS: usize = 20;

@@ -47,18 +47,23 @@ const RECOVERY_S: f64 = 12.0;
 /// The stiffness is 10 % above the start value of the filters, and the second storey loses some of
 /// it during the record. `fusion` and `clocks` are lines of the file.
 fn house(fusion: &str, clocks: &str) -> String {
-    let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 100\nidentification = \"distributed\"\n\
-         [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
+    let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 100\n\
+                    identification = \"distributed\"\n\
+         [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\n\
+         first-frequency-hz = 1.0\n\
          [damping]\nkind = \"rayleigh\"\nratio = 0.02\n\
          [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.5\n"
         .to_owned();
     for storey in 1..=4 {
         text += &format!(
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nmean = 0.9\nstd = 0.1\n\
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
+             of = [\"storey-{storey}\"]\nmean = 0.9\nstd = 0.1\n\
              [[node]]\nname = \"floor-{storey}\"\n\
-             [[node.channel]]\nname = \"displacement-{storey}\"\nquantity = \"displacement\"\ndof = \"floor-{storey}\"\n\
+             [[node.channel]]\nname = \"displacement-{storey}\"\nquantity = \"displacement\"\n\
+             dof = \"floor-{storey}\"\n\
              unit = \"m\"\nnoise-std = 2e-4\n\
-             [[node.channel]]\nname = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\ndof = \"floor-{storey}\"\n\
+             [[node.channel]]\nname = \"acceleration-{storey}\"\n\
+             quantity = \"absolute-acceleration\"\ndof = \"floor-{storey}\"\n\
              unit = \"m/s2\"\nnoise-std = 0.01\n"
         );
     }

@@ -111,7 +111,8 @@ async fn the_worker_of_a_node_stays_below_thirty_megabytes_and_a_quarter_of_a_co
     let share = (after_s - before_s) / data_s;
     let peak = peak_mb(worker.id());
     println!(
-        "worker of {NODE}: {:.1} ms of processor time per second of samples ({:.1} % of a core), largest resident size {peak:.1} MB",
+        "worker of {NODE}: {:.1} ms of processor time per second of samples ({:.1} % of a core), \
+         largest resident size {peak:.1} MB",
         1e3 * share,
         1e2 * share
     );

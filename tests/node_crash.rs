@@ -229,7 +229,8 @@ fn assert_goes_on(what: &str, last: (&[f64], &[f64]), next: (&[f64], &[f64])) {
         let (std, next_std) = (last.1[parameter], next.1[parameter]);
         let moved = (next.0[parameter] - last.0[parameter]).abs() / std;
         println!(
-            "{what}: parameter {parameter} moved by {moved:.2} deviations, {std:.4} became {next_std:.4}"
+            "{what}: parameter {parameter} moved by {moved:.2} deviations, {std:.4} became \
+             {next_std:.4}"
         );
         assert!(
             moved < 1.0,
@@ -393,7 +394,8 @@ async fn killed_station_and_worker_resume_from_their_checkpoints() {
         }
     }
     println!(
-        "off the undisturbed run by at most {furthest:.2} deviations, and at most {widest:.2} times as wide"
+        "off the undisturbed run by at most {furthest:.2} deviations, and at most {widest:.2} \
+         times as wide"
     );
     for name in ["worker", "others", "station"] {
         town.running.remove(name).unwrap().stop().expect_code(0);

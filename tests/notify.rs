@@ -15,7 +15,8 @@ use std::thread;
 use std::time::Duration;
 
 /// Damage of storey 2 at 20 s, and a rule relative to the design.
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                       credibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 const TOKEN: &str = "t0ken-of-the-test";
 const PATH: &str = "/hooks/s3cret-path";
@@ -127,11 +128,15 @@ async fn an_alert_reaches_webhook_alertmanager_and_people_once() {
     let configuration = site.folder().join("spandrel.toml");
     let text = format!(
         "[notify]\npublic-url = \"https://bridges.example\"\n\
-         [[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\ntoken-file = \"token\"\nsimulations = true\n\
-         [[notify.webhook]]\nurl = \"http://{manager}/api/v2/alerts\"\nformat = \"alertmanager\"\nsimulations = true\n\
+         [[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\ntoken-file = \"token\"\n\
+         simulations = true\n\
+         [[notify.webhook]]\nurl = \"http://{manager}/api/v2/alerts\"\nformat = \"alertmanager\"\n\
+         simulations = true\n\
          [[notify.webhook]]\nurl = \"http://{pager}/\"\n\
-         [[notify.email]]\nserver = \"127.0.0.1\"\nport = {}\nencryption = \"none\"\nsimulations = true\n\
-         from = \"Bridges <bridges@site.example>\"\nto = [\"ada@site.example\", \"bo@site.example\"]\n",
+         [[notify.email]]\nserver = \"127.0.0.1\"\nport = {}\nencryption = \"none\"\n\
+         simulations = true\n\
+         from = \"Bridges <bridges@site.example>\"\n\
+         to = [\"ada@site.example\", \"bo@site.example\"]\n",
         server.port()
     );
     std::fs::write(&configuration, text).unwrap();
@@ -440,7 +445,8 @@ fn the_error_names_unusable_settings() {
             &["blinded", "blind", "degraded", "watching"],
         ),
         (
-            "[[notify.webhook]]\nurl = \"http://x/\"\nquiet = [{ from = \"22:00\", to = \"06:00\", zone = \"Mars/Base\" }]\n",
+            "[[notify.webhook]]\nurl = \"http://x/\"\n\
+             quiet = [{ from = \"22:00\", to = \"06:00\", zone = \"Mars/Base\" }]\n",
             &[
                 "notify.webhook[0].quiet[0].zone",
                 "Mars/Base",
@@ -448,7 +454,8 @@ fn the_error_names_unusable_settings() {
             ],
         ),
         (
-            "[[notify.webhook]]\nurl = \"http://x/\"\nquiet = [{ from = \"10 pm\", to = \"06:00\", zone = \"UTC\" }]\n",
+            "[[notify.webhook]]\nurl = \"http://x/\"\n\
+             quiet = [{ from = \"10 pm\", to = \"06:00\", zone = \"UTC\" }]\n",
             &["10 pm", "22:00"],
         ),
         (
@@ -688,7 +695,8 @@ fn test_notice_reports_the_result_of_each_receiver() {
     let good = format!(
         "[[notify.webhook]]\nurl = \"http://{hook}{PATH}\"\ntemplate-file = \"body.json\"\n\
          [[notify.email]]\nserver = \"127.0.0.1\"\nport = {}\nencryption = \"none\"\n\
-         from = \"Bridges <bridges@site.example>\"\nto = [\"ada@site.example\"]\nstates = [\"blind\"]\n",
+         from = \"Bridges <bridges@site.example>\"\nto = [\"ada@site.example\"]\n\
+         states = [\"blind\"]\n",
         server.port()
     );
     let test = |text: &str, code: i32| {

@@ -54,7 +54,8 @@ fn tower_with(storeys: u32, parameters: &str) -> String {
     let node = |floor: u32| {
         format!(
             "[[node]]\nname = \"floor-{floor}\"\n[[node.channel]]\nname = \"floor-{floor}\"\n\
-             quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
+             quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\n\
+             noise-std = 0.005\n"
         )
     };
     let model = format!("[model]\nkind = \"shear-building\"\nstoreys = {storeys}\n");
@@ -63,13 +64,15 @@ fn tower_with(storeys: u32, parameters: &str) -> String {
         + "mass-kg = 20_000\nfirst-frequency-hz = 0.5\n\
      [damping]\nkind = \"rayleigh\"\nratio = 0.02\n"
         + parameters
-        + "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
+        + "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\n\
+           measured-on = \"ground\"\n\
            [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
            quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
         + &node(30)
         + &node(60)
         + "[ingest]\nlateness-s = 3600\n\
-           [[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n"
+           [[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+           credibility = 0.99\nsustain-s = 3\n"
 }
 
 /// Live sensors that publish as fast as ingest accepts samples, and the reported states of

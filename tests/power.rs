@@ -1,4 +1,5 @@
-//! A power failure at any moment: the disk keeps what was synced, and of the rest what chance keeps.
+//! A power failure at any moment: the disk keeps what was synced, and of the rest what chance
+//! keeps.
 //!
 //! One run of all services is logged with every change of the disk
 //! ([`DiskLog`](crate::support::DiskLog)). For many moments of this run, the test builds the folder
@@ -469,7 +470,8 @@ async fn stored_changes(bus: &Bus, keys: &Keys) -> Vec<AlertMessage> {
             let of_part =
                 |other: &&AlertMessage| other.parameter == alert.parameter && other.revision == 0;
             let changes: Vec<&AlertMessage> = stored.iter().filter(of_part).collect();
-            // A raised alert can be unconfirmed, and raised again. Nothing is raised twice in a row.
+            // A raised alert can be unconfirmed, and raised again. Nothing is raised twice in a
+            // row.
             let is_repeated = |pair: &[&AlertMessage]| pair.iter().all(|other| same(other));
             let repeated = changes.windows(2).any(is_repeated);
             assert!(alert.since_ns.is_none() || !repeated, "{stored:?}");
@@ -558,7 +560,8 @@ fn recorded(site: &Site, folder: &Path) -> Vec<LoggedFrames> {
 }
 
 /// Checks that the recording contains the record, in order and nothing twice, except frames that
-/// were not synced long enough before. Returns the age of the oldest published frame that it lacks (s).
+/// were not synced long enough before. Returns the age of the oldest published frame that it lacks
+/// (s).
 fn check_recording(
     story: &Story,
     record: &Record,

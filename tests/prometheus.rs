@@ -106,7 +106,8 @@ fn the_disk_rules_fire_only_while_data_are_not_stored() {
         let labels =
             format!("structure=\"tower\", service=\"{service}\", id=\"one\", reason=\"{reason}\"");
         text += &format!(
-            "  - interval: 30s\n    input_series:\n      - series: 'spandrel_dropped_total{{{labels}}}'\n"
+            "  - interval: 30s\n    input_series:\n      - series: \
+             'spandrel_dropped_total{{{labels}}}'\n"
         );
         text += &format!("        values: '{values}'\n    alert_rule_test:\n");
         for (_, _, _, rule) in DISKS.iter().filter(|(_, _, _, rule)| !rule.is_empty()) {
@@ -120,7 +121,8 @@ fn the_disk_rules_fire_only_while_data_are_not_stored() {
                     "warning"
                 };
                 text += &format!(
-                    "{{ exp_labels: {{ structure: tower, service: {service}, id: one, reason: {reason}, severity: {severity} }} }}"
+                    "{{ exp_labels: {{ structure: tower, service: {service}, id: one, reason: \
+                     {reason}, severity: {severity} }} }}"
                 );
             }
             text += "]\n";

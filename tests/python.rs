@@ -14,7 +14,8 @@ use spandrel_bus::{
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+const DAMAGED: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                       credibility = 0.99\nsustain-s = 5\n\
                        [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
 
 /// Returns the folder of the package.

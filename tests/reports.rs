@@ -1,5 +1,6 @@
-//! The service `reports`: a yielding building through the services. Its live reports have the numbers
-//! of `spandrel earthquake`, also after crashes, and a folder that cannot be written is no crash.
+//! The service `reports`: a yielding building through the services. Its live reports have the
+//! numbers of `spandrel earthquake`, also after crashes, and a folder that cannot be written is no
+//! crash.
 
 use crate::earthquake::{FLOORS, RATE_HZ, building, respond};
 use crate::support::{DEADLINE, Process, Record, Site, spandrel, within};
@@ -77,8 +78,8 @@ impl Course {
         Record::read(&self.table)
     }
 
-    /// Cuts this recording as a report states its span, and returns the numbers of the offline command
-    /// for all parts.
+    /// Cuts this recording as a report states its span, and returns the numbers of the offline
+    /// command for all parts.
     fn offline(&self, site: &Site, reports: &BTreeMap<String, Value>) -> BTreeMap<String, Value> {
         let folder = site.folder().join("offline");
         std::fs::create_dir_all(&folder).unwrap();

@@ -67,7 +67,8 @@ fn checkpoints(folder: &Path, service: &str) -> usize {
 // alert.
 #[tokio::test(flavor = "multi_thread")]
 async fn estimates_before_the_first_checkpoint_of_alert_survive_that_both_are_killed() {
-    let rule = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\n";
+    let rule = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                credibility = 0.99\n";
     let site = Site::with(&two_storeys(rule));
     let record = site.simulate(10.0);
     let expected = site.estimate(&record);
@@ -193,7 +194,8 @@ async fn a_replay_that_is_stopped_ends_its_nodes_where_they_are() {
 async fn a_hangup_reloads_the_rules_and_changes_no_bit_of_the_estimates() {
     let rule = |loss: f64| {
         format!(
-            "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n"
+            "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\n\
+             credibility = 0.99\nsustain-s = 3\n"
         )
     };
     let site = Site::with(&two_storeys(&rule(0.05)));
@@ -244,7 +246,8 @@ async fn a_hangup_reloads_the_rules_and_changes_no_bit_of_the_estimates() {
 async fn a_hangup_keeps_an_acknowledgement_and_ends_alerts_that_the_new_rule_does_not_raise() {
     let with = |loss: f64| {
         let rule = format!(
-            "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\ncredibility = 0.99\nsustain-s = 3\n"
+            "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = {loss}\n\
+             credibility = 0.99\nsustain-s = 3\n"
         );
         let damage = "[[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 20\nloss = 0.15\n";
         two_storeys(&format!("{rule}{damage}"))

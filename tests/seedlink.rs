@@ -144,7 +144,8 @@ fn an_hour_ago() -> i64 {
 fn configure(site: &Site, address: &str, more: &str) -> PathBuf {
     let channel = |label: &str, channel: &str| {
         format!(
-            "[[feed.source.channel]]\nsource = \"{label}\"\nchannel = \"{channel}\"\nsensitivity = 100\n"
+            "[[feed.source.channel]]\nsource = \"{label}\"\nchannel = \"{channel}\"\n\
+             sensitivity = 100\n"
         )
     };
     let text = format!(
@@ -279,7 +280,8 @@ async fn slow_channel_is_a_condition_with_one_value_per_sample() {
     let path = site.folder().join("feed.toml");
     let text = format!(
         "[[feed.source]]\nname = \"hub\"\nkind = \"seedlink\"\naddress = \"{}\"\n\
-         [[feed.source.condition]]\nsource = \"AM.R1.00.ENZ\"\ncondition = \"air\"\nsensitivity = 100\n",
+         [[feed.source.condition]]\nsource = \"AM.R1.00.ENZ\"\ncondition = \"air\"\n\
+         sensitivity = 100\n",
         server.address
     );
     std::fs::write(&path, text).unwrap();
@@ -402,7 +404,8 @@ const MEASURED_S: i64 = 60;
 fn tall_house() -> String {
     let mut text = format!(
         "[structure]\nname = \"tower\"\nsampling-rate-hz = {FAST_HZ}\n[model]\n\
-         kind = \"shear-building\"\nstoreys = {STATIONS}\nmass-kg = 20_000\nfirst-frequency-hz = 0.5\n\
+         kind = \"shear-building\"\nstoreys = {STATIONS}\nmass-kg = 20_000\n\
+         first-frequency-hz = 0.5\n\
          [damping]\nkind = \"rayleigh\"\nratio = 0.02\n[[parameter]]\nname = \"all\"\n\
          scales = \"stiffness\"\nof = [\"storey-1\"]\n[[excitation]]\nname = \"ground\"\n\
          kind = \"ground\"\nstd = 0.1\n"

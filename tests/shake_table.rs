@@ -239,7 +239,8 @@ fn identified_model_has_the_first_frequency_of_the_frame_in_every_motion() {
             let allowed = (0.96 * low)..=(1.04 * high);
             assert!(
                 allowed.contains(&frequency),
-                "{} {motion}: first frequency {frequency:.3} Hz, expected {low} to {high} within 4 %",
+                "{} {motion}: first frequency {frequency:.3} Hz, expected {low} to {high} within \
+                 4 %",
                 frame.state
             );
             storey_1.push(stiffness[0]);

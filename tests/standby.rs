@@ -40,7 +40,8 @@ struct Town {
 impl Town {
     async fn start(structures: usize, length_s: f64) -> Self {
         let named = |number: usize| {
-            let rule = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.99\nsustain-s = 3\n";
+            let rule = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\n\
+                        loss = 0.05\ncredibility = 0.99\nsustain-s = 3\n";
             two_storeys(rule).replace("name = \"house\"", &format!("name = \"house-{number}\""))
         };
         let first = Site::with(&named(0));

@@ -17,7 +17,8 @@ use std::time::Duration;
 fn run_with_state(site: &Site, state: &Path) -> Command {
     let configuration = site.folder().join("spandrel.toml");
     let text = format!(
-        "[state]\nfolder = \"{0}\"\ncheckpoint-s = 1\n[history]\ndatabase = \"{0}/history.sqlite\"\n",
+        "[state]\nfolder = \"{0}\"\ncheckpoint-s = 1\n[history]\n\
+         database = \"{0}/history.sqlite\"\n",
         state.display()
     );
     std::fs::write(&configuration, text).unwrap();

@@ -159,7 +159,8 @@ async fn a_gap_of_half_an_hour_starts_a_new_run_on_both_routes() {
 // of other nodes.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_far_slower_than_the_frames_gives_the_numbers_of_estimate() {
-    let slow = "[[node]]\nname = \"tilt\"\nsampling-rate-hz = 1\n[[node.channel]]\nname = \"tilt\"\n\
+    let slow = "[[node]]\nname = \"tilt\"\nsampling-rate-hz = 1\n[[node.channel]]\n\
+                name = \"tilt\"\n\
                 quantity = \"displacement\"\ndof = \"floor-2\"\nunit = \"m\"\nnoise-std = 1e-4\n";
     let site = Site::with(&two_storeys(slow));
     let record = site.simulate(120.0);

@@ -167,7 +167,8 @@ fn assert_near(row: &str, what: &str, found: f64, documented: f64, within: f64) 
     let allowed = 1.0 + within * documented;
     assert!(
         (found - documented).abs() <= allowed,
-        "{row}: {what} is {found:.1} bytes/s, docs/distributed.md says {documented} and allows {:.0} %",
+        "{row}: {what} is {found:.1} bytes/s, docs/distributed.md says {documented} and allows \
+         {:.0} %",
         100.0 * within
     );
 }
@@ -653,7 +654,8 @@ fn without_fusion(text: &str) -> String {
 #[ignore = "takes eight minutes; prints the table of docs/distributed.md and compares"]
 async fn traffic_of_a_node_on_the_wire_matches_the_documentation() {
     println!(
-        "| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes in a fusion |"
+        "| | payload up | down | wire up | down | payload / raw | both ways | wire / raw | nodes \
+         in a fusion |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     let mut measured = Vec::new();

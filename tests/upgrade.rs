@@ -24,7 +24,8 @@ const ROOT: &str = "kept";
 const SEEN: usize = 800;
 const ROWS: usize = 1200;
 /// Rules, with a loss of 30 % in storey 2 from the start.
-const RULES: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n\
+const RULES: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                     credibility = 0.95\nsustain-s = 0.5\n\
                      [[simulation.damage]]\nparameter = \"storey-2\"\nat-s = 0\nloss = 0.30\n";
 /// Reference of version 0.1.0 for a rule that gives none: the design, taken as exact. Now such a
 /// rule learns its reference.

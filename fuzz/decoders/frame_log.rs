@@ -1,4 +1,5 @@
-//! Segments of a frame log. The log keeps intact data, removes or sets aside the rest, and continues.
+//! Segments of a frame log. The log keeps intact data, removes or sets aside the rest, and
+//! continues.
 
 use spandrel_record::{FrameLog, FrameLogReader, LogLayout, LogSettings, LoggedFrames};
 use std::path::Path;

@@ -207,10 +207,14 @@ impl Browser {
                 self.screenshot("failed").await;
                 let text = self.evaluate("document.body.innerText").await;
                 let focus = self
-                    .evaluate("`${document.hasFocus()}, ${document.activeElement?.outerHTML.slice(0, 200)}`")
+                    .evaluate(
+                        "`${document.hasFocus()}, \
+                               ${document.activeElement?.outerHTML.slice(0, 200)}`",
+                    )
                     .await;
                 panic!(
-                    "waited in vain: {what}\n  {expression}\n  the page says: {text}\n  the focus: {focus}\n  {:?}",
+                    "waited in vain: {what}\n  {expression}\n  the page says: {text}\n  the \
+                     focus: {focus}\n  {:?}",
                     self.complaints
                 );
             }

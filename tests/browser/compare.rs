@@ -10,7 +10,9 @@ const ENDED: &str = "document.body.innerText.includes('record has ended')";
 /// Returns the cells of a quantity in the table of the differences.
 fn cells(name: &str) -> String {
     format!(
-        "[...([...document.querySelectorAll('.differences tbody tr')].find((row) => row.children[0].textContent === '{name}')?.children ?? [])].slice(1).map((cell) => cell.textContent)"
+        "[...([...document.querySelectorAll('.differences tbody tr')].find((row) => \
+         row.children[0].textContent === '{name}')?.children ?? [])].slice(1).map((cell) => \
+         cell.textContent)"
     )
 }
 
@@ -45,7 +47,8 @@ async fn two_ranges_are_compared_in_words_and_in_the_address() {
     browser
         .wait("a comparison", "location.hash.includes('first=')")
         .await;
-    let end = "fetch('/api/structures').then((reply) => reply.json()).then(({ structures }) => structures[0].time_s)";
+    let end = "fetch('/api/structures').then((reply) => reply.json()).then(({ structures }) => \
+               structures[0].time_s)";
     let end = browser.evaluate(end).await.as_f64().unwrap();
     let ranges = [(end - 85.0, end - 65.0), (end - 30.0, end)];
     let text = ranges.map(|(from, to)| format!("{from:.3}..{to:.3}"));
@@ -59,7 +62,8 @@ async fn two_ranges_are_compared_in_words_and_in_the_address() {
         .wait(
             "the loss in words",
             &format!(
-                "/^◆ storey-2 is 1[3-7]\\.\\d % lower in the second range \\(95 % interval 1[3-7]\\.\\d to 1[3-7]\\.\\d % lower\\)/.test({sentence})"
+                "/^◆ storey-2 is 1[3-7]\\.\\d % lower in the second range \\(95 % interval \
+                 1[3-7]\\.\\d to 1[3-7]\\.\\d % lower\\)/.test({sentence})"
             ),
         )
         .await;
@@ -99,7 +103,8 @@ async fn two_ranges_are_compared_in_words_and_in_the_address() {
         .wait(
             "a plot of both",
             &format!(
-                "document.querySelector('#plot-compare-parameter-storey-2 canvas') && /^0:00:\\d\\d · first \\S+ · second 0\\.8\\d\\d$/.test({readout})"
+                "document.querySelector('#plot-compare-parameter-storey-2 canvas') && \
+                 /^0:00:\\d\\d · first \\S+ · second 0\\.8\\d\\d$/.test({readout})"
             ),
         )
         .await;
@@ -156,7 +161,8 @@ async fn means_have_the_uncertainty_of_their_kind() {
         .await;
     let of = |values: &str, independent: bool| {
         format!(
-            "import('/compare.js').then(({{ meanOf }}) => meanOf([[0, 1, 2, 3], {values}], {independent}))"
+            "import('/compare.js').then(({{ meanOf }}) => meanOf([[0, 1, 2, 3], {values}], \
+             {independent}))"
         )
     };
     let exact = "[2, 2, 2, 2], [0.4, 0.4, 0.4, 0.4]";
@@ -178,13 +184,16 @@ async fn means_have_the_uncertainty_of_their_kind() {
         browser.evaluate(&of("[null], [null]", true)).await,
         json!(null)
     );
-    let difference = "import('/compare.js').then(({ differenceOf }) => differenceOf({ mean: 1, std: 0.03 }, { mean: 0.5, std: 0.04 }))";
+    let difference = "import('/compare.js').then(({ differenceOf }) => differenceOf({ mean: 1, \
+                      std: 0.03 }, { mean: 0.5, std: 0.04 }))";
     let difference = browser.evaluate(difference).await;
     let half = difference["high"].as_f64().unwrap() + 0.5;
     assert!((half - 1.96 * 0.05).abs() < 1e-12, "{difference}");
-    // Regression: of forty equal quantities, two seemed to have changed. 2.5 standard deviations are
-    // clear alone. Among forty quantities, the limit is 3.23.
-    let by_chance = "import('/compare.js').then(({ differenceOf }) => [[2.5, 1], [2.5, 40], [3.2, 40], [3.26, 40], [1.9, 40]].map(([mean, count]) => differenceOf({ mean: 0, std: 0 }, { mean, std: 1 }, count).isByChance))";
+    // Regression: of forty equal quantities, two seemed to have changed. 2.5 standard deviations
+    // are clear alone. Among forty quantities, the limit is 3.23.
+    let by_chance = "import('/compare.js').then(({ differenceOf }) => [[2.5, 1], [2.5, 40], [3.2, \
+                     40], [3.26, 40], [1.9, 40]].map(([mean, count]) => differenceOf({ mean: 0, \
+                     std: 0 }, { mean, std: 1 }, count).isByChance))";
     assert_eq!(
         browser.evaluate(by_chance).await,
         json!([false, true, true, false, false])
@@ -213,7 +222,9 @@ async fn structures_without_alert_rules_are_shown() {
         // Regression: each part was crossed by a dash without a meaning.
         (
             "#/structure/demo",
-            "document.querySelectorAll('.drawing .inside').length === 5 && [...document.querySelectorAll('.drawing .inside')].every(({ textContent }) => textContent === '')",
+            "document.querySelectorAll('.drawing .inside').length === 5 && \
+             [...document.querySelectorAll('.drawing .inside')].every(({ textContent }) => \
+             textContent === '')",
         ),
         (
             "#/structure/demo/parameters",

@@ -6,7 +6,8 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Two conditions. The first one is overdue after 2 s, and the second one has no instrument.
-const CONDITIONS: &str = "[[condition]]\nname = \"deck-temperature\"\nunit = \"degC\"\nrange = [-40, 60]\ninterval-s = 1\n\
+const CONDITIONS: &str = "[[condition]]\nname = \"deck-temperature\"\nunit = \"degC\"\n\
+                          range = [-40, 60]\ninterval-s = 1\n\
                           [[condition]]\nname = \"wind\"\nunit = \"m/s\"\n";
 
 #[tokio::test(flavor = "multi_thread")]
@@ -24,9 +25,12 @@ async fn a_temperature_is_shown_plotted_and_marked_when_it_is_overdue() {
     drop(instrument);
     let configuration = folder.path().join("spandrel.toml");
     let text = format!(
-        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\nlisten = \"127.0.0.1:0\"\n\
-         [history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n[[feed.source]]\nname = \"weather-station\"\n\
-         kind = \"udp\"\naddress = \"{station}\"\nformat = \"json\"\n[[feed.source.condition]]\nsource = \"t\"\n\
+        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\n\
+         listen = \"127.0.0.1:0\"\n\
+         [history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n[[feed.source]]\n\
+         name = \"weather-station\"\n\
+         kind = \"udp\"\naddress = \"{station}\"\nformat = \"json\"\n[[feed.source.condition]]\n\
+         source = \"t\"\n\
          condition = \"deck-temperature\"\n",
         free_address()
     );

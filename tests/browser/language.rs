@@ -6,16 +6,22 @@ use serde_json::json;
 
 /// Collects the English words on the page that German lacks, with the text that contains them.
 ///
-/// It leaves out what services write (`lang="en"`), the description in the structure file, and names.
+/// It leaves out what services write (`lang="en"`), the description in the structure file, and
+/// names.
 const ENGLISH_LEFT: &str = "(async () => {
-    const [{ english }, { german }] = await Promise.all([import('/english.js'), import('/german.js')]);
+    const [{ english }, { german }] = await Promise.all([import('/english.js'), \
+    import('/german.js')]);
     const { about, standing } = await (await fetch('/api/structures/demo')).json();
     const words = (text) => text.toLowerCase().match(/[a-zäöüß]{3,}/g) ?? [];
-    const names = [about.parameters, about.noise, about.drawing.points].flatMap((list) => list.map(({ name }) => name));
+    const names = [about.parameters, about.noise, about.drawing.points].flatMap((list) => \
+    list.map(({ name }) => name));
     names.push(...about.drawing.sensors.flatMap(({ channel, node }) => [channel, node]));
-    names.push(...standing.services.flatMap(({ service, id, status }) => [service, id, ...Object.keys(status?.drops ?? {})]), ...standing.events.map(({ subject }) => subject), about.name);
+    names.push(...standing.services.flatMap(({ service, id, status }) => [service, id, \
+    ...Object.keys(status?.drops ?? {})]), ...standing.events.map(({ subject }) => subject), \
+    about.name);
     const known = new Set([...Object.values(german), ...names].flatMap(words));
-    const foreign = new Set(Object.values(english).flatMap(words).filter((word) => !known.has(word)));
+    const foreign = new Set(Object.values(english).flatMap(words).filter((word) => \
+    !known.has(word)));
     const found = [];
     const look = (element, text) => {
         if (element.closest('[lang=en], script, noscript, .description')) return;
@@ -25,12 +31,14 @@ const ENGLISH_LEFT: &str = "(async () => {
     const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
     while (texts.nextNode()) look(texts.currentNode.parentElement, texts.currentNode.data);
     for (const name of ['aria-label', 'title', 'placeholder', 'data-head']) {
-        for (const element of document.querySelectorAll(`[${name}]`)) look(element, element.getAttribute(name));
+        for (const element of document.querySelectorAll(`[${name}]`)) look(element, \
+        element.getAttribute(name));
     }
     return [foreign.size > 200, found];
   })()";
 
-/// Collects the numbers with a decimal point and the dates in ISO 8601 that people read on the page.
+/// Collects the numbers with a decimal point and the dates in ISO 8601 that people read on the
+/// page.
 ///
 /// It leaves out what services write (`lang="en"`) and the description in the structure file.
 const ENGLISH_NUMBERS: &str = "(() => {
@@ -42,7 +50,8 @@ const ENGLISH_NUMBERS: &str = "(() => {
     };
     const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
     while (texts.nextNode()) look(texts.currentNode.parentElement, texts.currentNode.data);
-    for (const element of document.querySelectorAll('[aria-label]')) look(element, element.getAttribute('aria-label'));
+    for (const element of document.querySelectorAll('[aria-label]')) look(element, \
+    element.getAttribute('aria-label'));
     return found;
   })()";
 
@@ -84,7 +93,10 @@ async fn the_page_is_in_german_for_a_german_browser() {
         browser
             .wait(
                 hash,
-                &format!("document.querySelector('{content}') && (document.querySelector('{content}').scrollIntoView(), true)"),
+                &format!(
+                    "document.querySelector('{content}') && \
+                          (document.querySelector('{content}').scrollIntoView(), true)"
+                ),
             )
             .await;
         assert_eq!(

@@ -68,7 +68,8 @@ async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
     std::fs::write(saved.join("judge-epochs.csv"), epochs()).unwrap();
     let configuration = folder.path().join("spandrel.toml");
     let text = format!(
-        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\nlisten = \"127.0.0.1:0\"\n\
+        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\n\
+         listen = \"127.0.0.1:0\"\n\
          [history]\ndatabase = \"none\"\n[state]\nfolder = {state:?}\n",
         free_address()
     );
@@ -102,7 +103,8 @@ const PANEL: &str = "document.getElementById('panel-lasting').innerText";
 async fn the_present_state_leads_to_the_year(browser: &mut Browser) {
     let list = "document.getElementById('judgements')";
     let lost = format!(
-        "/◆ lasting loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch 2025-11-22/.test({list}.textContent)"
+        "/◆ lasting loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch \
+         2025-11-22/.test({list}.textContent)"
     );
     browser
         .wait("the state among the present ones", &lost)

@@ -99,7 +99,8 @@ async fn short_names_and_values_do_not_break_at_the_end_of_a_line() {
             .evaluate(&format!("location.hash = '#/{tab}'"))
             .await;
         let shown = format!(
-            "document.querySelector('{shown}')?.checkVisibility() && {words}.some(({{ word }}) => word.endsWith('storey-2'))"
+            "document.querySelector('{shown}')?.checkVisibility() && {words}.some(({{ word }}) => \
+             word.endsWith('storey-2'))"
         );
         browser.wait(tab, &shown).await;
         // Each width breaks the lines at other words.
@@ -112,7 +113,8 @@ async fn short_names_and_values_do_not_break_at_the_end_of_a_line() {
         }
     }
     // A copy contains the plain characters.
-    let copied = "(() => { getSelection().selectAllChildren(document.getElementById('main')); return getSelection().toString(); })()";
+    let copied = "(() => { getSelection().selectAllChildren(document.getElementById('main')); \
+                  return getSelection().toString(); })()";
     let copied = browser.evaluate(copied).await;
     let copied = copied.as_str().unwrap();
     assert!(
@@ -145,7 +147,9 @@ async fn a_card_names_four_sensors_and_has_the_others_in_its_title() {
         const { OverviewPage } = await import('/overview.js');
         const page = new OverviewPage({ listen() {}, on: () => () => {} });
         const troubled = Array.from({ length: 26 }, (_, index) => `acceleration-${index + 1}`);
-        page.show({ structures: [{ name: 'tower', description: '', sentence: '', level: 'warning', has_model: true, is_filtered: true, age_s: 0, sensors: { alive: 1, total: 27, troubled } }] });
+        page.show({ structures: [{ name: 'tower', description: '', sentence: '', level: \
+        'warning', has_model: true, is_filtered: true, age_s: 0, sensors: { alive: 1, total: 27, \
+        troubled } }] });
         const shown = page.element.querySelector('.fact-sensors dd');
         return [shown.textContent, shown.title === troubled.join(', ')];
       })()";
@@ -168,7 +172,8 @@ async fn a_card_without_a_plot_is_hidden() {
         const { NowTab } = await import('/now.js');
         const { about } = await (await fetch('/api/structures/demo')).json();
         const { element } = new NowTab({ name: 'demo', about, choose: () => {} });
-        return [...element.querySelectorAll('.card')].filter((card) => !card.hidden && card.childElementCount === 0).length;
+        return [...element.querySelectorAll('.card')].filter((card) => !card.hidden && \
+        card.childElementCount === 0).length;
       })()";
     assert_eq!(browser.evaluate(empty).await, 0);
 }
@@ -294,8 +299,10 @@ async fn a_small_part_with_a_probable_loss_is_named_beside_the_drawing() {
         "(() => {{
             {}.querySelector('.beside').textContent = '> 99.99 %';
             const drawing = document.querySelector('.drawing').getBoundingClientRect();
-            const texts = [...{}.querySelectorAll('text')].map((one) => one.getBoundingClientRect());
-            return texts.every((one) => one.left >= drawing.left && one.right <= drawing.right && one.bottom <= drawing.bottom);
+            const texts = [...{}.querySelectorAll('text')].map((one) => \
+            one.getBoundingClientRect());
+            return texts.every((one) => one.left >= drawing.left && one.right <= drawing.right && \
+            one.bottom <= drawing.bottom);
           }})()",
         callout("storey-1"),
         callout("storey-1")
@@ -330,11 +337,16 @@ async fn the_table_of_parts_fits_on_a_small_screen() {
             .open(&format!("{}#/structure/{name}", demo.page))
             .await;
         browser
-            .wait("estimates", "/^\\d\\.\\d+ ± /.test(document.querySelector('.parameters td.number')?.textContent)")
+            .wait(
+                "estimates",
+                "/^\\d\\.\\d+ ± /.test(document.querySelector('.parameters \
+                                td.number')?.textContent)",
+            )
             .await;
         for width in [1280, 1100, 1000, 961, 800, 390] {
             browser.resize(width, 900).await;
-            let cut = "(() => { const box = document.querySelector('.scroll:has(.parameters)'); return box.scrollWidth - box.clientWidth; })()";
+            let cut = "(() => { const box = document.querySelector('.scroll:has(.parameters)'); \
+                       return box.scrollWidth - box.clientWidth; })()";
             assert_eq!(browser.evaluate(cut).await, 0, "{name} at {width} px");
             if width == 1000 {
                 browser.screenshot(&format!("table-{name}")).await;
@@ -389,7 +401,8 @@ async fn a_structure_of_natural_frequencies_is_readable_on_a_phone() {
         const ink = [0x14, 0x20, 0x2b];
         const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
         let count = 0;
-        for (let at = 0; at < data.length; at += 4) count += ink.every((one, colour) => data[at + colour] === one);
+        for (let at = 0; at < data.length; at += 4) count += ink.every((one, colour) => data[at + \
+        colour] === one);
         return count;
       })()";
     browser
@@ -408,7 +421,8 @@ async fn a_structure_of_natural_frequencies_is_readable_on_a_phone() {
     browser
         .wait(
             "what identifies the structure",
-            "(document.querySelector('#panel-settings')?.innerText ?? '').includes('model updated from natural frequencies')",
+            "(document.querySelector('#panel-settings')?.innerText ?? '').includes('model updated \
+             from natural frequencies')",
         )
         .await;
 
@@ -449,7 +463,9 @@ async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
               document.body.append(help.element);
               updateHelp(help, {alerts});
               const dialled = help.element.querySelector('a[href^=\"tel:\"]')?.getAttribute('href') ?? null;
-              const told = [help.element.hidden ? [] : help.element.innerText.split('\\n').filter(Boolean), help.element.querySelector('.call > a:not([hidden])')?.href ?? null, dialled];
+              const told = [help.element.hidden ? [] : \
+              help.element.innerText.split('\\n').filter(Boolean), \
+              help.element.querySelector('.call > a:not([hidden])')?.href ?? null, dialled];
               help.element.remove();
               return told;
             }})"
@@ -473,7 +489,8 @@ async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
             [
                 "Contact: Ada, +41 44 123 45 67 Runbook",
                 "Notified: ada@site.example (2026-10-14 17:46:40 UTC)",
-                "▲ Not notified: hooks.example (2026-10-14 17:47:40 UTC: replied with 503; retrying)",
+                "▲ Not notified: hooks.example (2026-10-14 17:47:40 UTC: replied with 503; \
+                 retrying)",
             ],
             "https://site.example/alarm",
             "tel:+41441234567"
@@ -499,13 +516,16 @@ async fn sensors_are_sorted_by_the_title_that_is_pressed() {
     browser
         .wait(
             "the end of the demo",
-            "document.body.innerText.includes('record has ended') && document.querySelectorAll('.levels tbody tr').length === 6",
+            "document.body.innerText.includes('record has ended') && \
+             document.querySelectorAll('.levels tbody tr').length === 6",
         )
         .await;
     let names =
         "[...document.querySelectorAll('.levels tbody th')].map(({ textContent }) => textContent)";
-    let rms = "[...document.querySelectorAll('.levels tbody tr')].map(({ children }) => parseFloat(children[4].textContent))";
-    let title = "[...document.querySelectorAll('.levels thead th')].find(({ textContent }) => textContent === 'RMS')";
+    let rms = "[...document.querySelectorAll('.levels tbody tr')].map(({ children }) => \
+               parseFloat(children[4].textContent))";
+    let title = "[...document.querySelectorAll('.levels thead th')].find(({ textContent }) => \
+                 textContent === 'RMS')";
     let order = format!("{title}.ariaSort");
     let usual = browser.evaluate(names).await;
     let is_sorted = |sign: i32| {
@@ -533,7 +553,10 @@ async fn sensors_are_sorted_by_the_title_that_is_pressed() {
         ("Quantity", "#sensors"),
     ] {
         let pressed = format!(
-            "(() => {{ const title = [...document.querySelectorAll('{sorted} thead th')].find(({{ textContent }}) => textContent === '{column}'); title.querySelector('button').click(); return [title.ariaSort, document.querySelectorAll('{sorted} [aria-sort]').length]; }})()"
+            "(() => {{ const title = [...document.querySelectorAll('{sorted} thead th')].find(({{ \
+             textContent }}) => textContent === '{column}'); \
+             title.querySelector('button').click(); return [title.ariaSort, \
+             document.querySelectorAll('{sorted} [aria-sort]').length]; }})()"
         );
         assert_eq!(
             browser.evaluate(&pressed).await,
@@ -546,7 +569,9 @@ async fn sensors_are_sorted_by_the_title_that_is_pressed() {
     browser.resize(390, 844).await;
     let choose = |order: &str| {
         format!(
-            "(() => {{ const list = document.querySelector('#levels .sort-by select'); list.value = '{order}'; list.dispatchEvent(new Event('change')); return list.checkVisibility(); }})()"
+            "(() => {{ const list = document.querySelector('#levels .sort-by select'); list.value \
+             = '{order}'; list.dispatchEvent(new Event('change')); return list.checkVisibility(); \
+             }})()"
         )
     };
     assert_eq!(browser.evaluate(&choose("4 descending")).await, true);

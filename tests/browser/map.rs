@@ -38,7 +38,8 @@ async fn structures_with_coordinates_are_on_a_map() {
         })
         .collect();
     let configuration = format!(
-        "structures = {names:?}\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\nlisten = \"127.0.0.1:0\"\n\
+        "structures = {names:?}\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\n\
+         listen = \"127.0.0.1:0\"\n\
          [history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n",
         free_address()
     );
@@ -60,7 +61,8 @@ async fn structures_with_coordinates_are_on_a_map() {
     // long as one of latitude, so that both distances are equal here, up to the curvature.
     let place = |name: &str, axis: &str| {
         format!(
-            "Number(document.querySelector('.site[data-name={name}] circle').getAttribute('c{axis}'))"
+            "Number(document.querySelector('.site[data-name={name}] \
+             circle').getAttribute('c{axis}'))"
         )
     };
     let distance =
@@ -83,7 +85,9 @@ async fn structures_with_coordinates_are_on_a_map() {
     if let Some(axe) = axe_or_skip() {
         let axe = std::fs::read_to_string(axe).unwrap();
         browser.evaluate(&format!("{axe}; true")).await;
-        let found = "axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target.join(' ')).join(', ')}`))";
+        let found = "axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => \
+                     violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => \
+                     target.join(' ')).join(', ')}`))";
         assert_eq!(browser.evaluate(found).await, json!([]));
     }
     browser.prefer("dark").await;

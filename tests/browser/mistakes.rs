@@ -28,18 +28,23 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
     browser.wait("the end of the demo", ENDED).await;
     // The badges are beside or below each other.
     let apart = "(() => { \
-        const [first, second] = [...document.querySelectorAll('.attention .badge')].filter((one) => !one.hidden).map((one) => one.getBoundingClientRect()); \
-        return first.right <= second.left || first.bottom <= second.top; })()";
+        const [first, second] = [...document.querySelectorAll('.attention .badge')].filter((one) \
+        => !one.hidden).map((one) => one.getBoundingClientRect()); return first.right <= \
+        second.left || first.bottom <= second.top; })()";
     assert_eq!(browser.evaluate(apart).await, true, "the badges overlap");
-    let broken = "[...document.querySelectorAll('.whole, time')].filter((one) => one.getClientRects().length > 1).map((one) => one.textContent)";
+    let broken = "[...document.querySelectorAll('.whole, time')].filter((one) => \
+                  one.getClientRects().length > 1).map((one) => one.textContent)";
     assert_eq!(browser.evaluate(broken).await, json!([]), "broken times");
     let times = "document.querySelectorAll('.attention .whole').length";
     assert!(browser.evaluate(times).await.as_u64().unwrap() >= 2);
-    let newest = "fetch('/api/structures').then((answer) => answer.json()).then(({ structures }) => structures[0].time_s - Date.now() / 1000)";
+    let newest = "fetch('/api/structures').then((answer) => answer.json()).then(({ structures }) \
+                  => structures[0].time_s - Date.now() / 1000)";
     let ahead = browser.evaluate(newest).await.as_f64().unwrap();
     assert!(ahead <= 0.0, "the newest sample is {ahead} s in the future");
 
-    let seen = "fetch('/api/structures/demo/alerts/storey-2/acknowledge', { method: 'POST', headers: { 'content-type': 'application/json' }, body: '{\"who\": \"Ada\", \"note\": \"\"}' }).then(({ status }) => status)";
+    let seen = "fetch('/api/structures/demo/alerts/storey-2/acknowledge', { method: 'POST', \
+                headers: { 'content-type': 'application/json' }, body: \
+                '{\"who\": \"Ada\", \"note\": \"\"}' }).then(({ status }) => status)";
     assert_eq!(browser.evaluate(seen).await, 200);
     browser
         .wait(
@@ -47,17 +52,22 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
             "document.querySelector('.attention').dataset.level === 'notice'",
         )
         .await;
-    let badges = "[...document.querySelectorAll('.attention .badge')].filter((one) => !one.hidden).map((one) => one.textContent)";
+    let badges = "[...document.querySelectorAll('.attention .badge')].filter((one) => \
+                  !one.hidden).map((one) => one.textContent)";
     assert_eq!(
         browser.evaluate(badges).await,
         json!(["● Notice", "■ record has ended"])
     );
     browser.screenshot("acknowledged-without-data").await;
     // Regression: the state of an alarm filled the window of a phone on each tab.
-    let folded = "(() => { const { open, firstChild } = document.querySelector('.attention .more'); return [open, firstChild.checkVisibility()]; })()";
+    let folded = "(() => { const { open, firstChild } = document.querySelector('.attention \
+                  .more'); return [open, firstChild.checkVisibility()]; })()";
     assert_eq!(browser.evaluate(folded).await, json!([true, false]));
     // Regression: after a zoom, the way back was beyond the edge of a phone.
-    let moment = "fetch('/api/structures').then((answer) => answer.json()).then(({ structures }) => (location.hash = `#/structure/demo/parameters?parameter=storey-2&at=${structures[0].time_s - 30}`))";
+    let moment = "fetch('/api/structures').then((answer) => answer.json()).then(({ structures }) \
+                  => (location.hash = \
+                  `#/structure/demo/parameters?parameter=storey-2&at=${structures[0].time_s - \
+                  30}`))";
     browser.evaluate(moment).await;
     browser
         .wait(
@@ -66,14 +76,17 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
         )
         .await;
     assert_eq!(browser.evaluate(folded).await, json!([false, true]));
-    let back = "(() => { const { left, right } = document.querySelector('.range-state .back').getBoundingClientRect(); return left >= 0 && right <= innerWidth; })()";
+    let back = "(() => { const { left, right } = document.querySelector('.range-state \
+                .back').getBoundingClientRect(); return left >= 0 && right <= innerWidth; })()";
     assert_eq!(browser.evaluate(back).await, true);
     browser.screenshot("zoomed-phone").await;
     browser.evaluate("location.hash = '#/alerts'").await;
     browser
         .wait(
             "a sentence by the newest value",
-            "[...document.querySelectorAll('.alerts:not(.past) .alert[data-state=normal] .sentence')].some((one) => /^storey-\\d is normal by the newest value: loss −?[\\d.]+ % /.test(one.textContent))",
+            "[...document.querySelectorAll('.alerts:not(.past) .alert[data-state=normal] \
+             .sentence')].some((one) => /^storey-\\d is normal by the newest value: loss \
+             −?[\\d.]+ % /.test(one.textContent))",
         )
         .await;
     assert_eq!(browser.complaints(), Vec::<String>::new());
@@ -106,7 +119,9 @@ async fn a_print_of_each_tab_is_complete() {
             .await;
         let all = format!("[...document.querySelectorAll('#panel-{tab} .plot')]");
         let fetched = format!(
-            "(() => {{ dispatchEvent(new Event('beforeprint')); return {all}.length >= {plots} && {all}.every((one) => one.querySelector('canvas') && !one.classList.contains('is-empty')); }})()"
+            "(() => {{ dispatchEvent(new Event('beforeprint')); return {all}.length >= {plots} && \
+             {all}.every((one) => one.querySelector('canvas') && \
+             !one.classList.contains('is-empty')); }})()"
         );
         browser.wait(&format!("all plots of {tab}"), &fetched).await;
         // The width of A4 without its margins.
@@ -114,12 +129,17 @@ async fn a_print_of_each_tab_is_complete() {
         let print = json!({"media": "print"});
         browser.call("Emulation.setEmulatedMedia", print).await;
         let wide = format!(
-            "[document.documentElement.scrollWidth, ...[...document.querySelectorAll('#panel-{tab} canvas')].map((one) => one.getBoundingClientRect().right)].filter((right) => right > 680)"
+            "[document.documentElement.scrollWidth, \
+             ...[...document.querySelectorAll('#panel-{tab} canvas')].map((one) => \
+             one.getBoundingClientRect().right)].filter((right) => right > 680)"
         );
         assert_eq!(browser.evaluate(&wide).await, json!([]), "{tab} is cut off");
         // Regression test: a print did not name its tab, and contained controls.
         let titled = format!(
-            "[document.querySelector('h1').innerText === `demo – ${{document.getElementById('tab-{tab}').textContent}}`, [...document.querySelectorAll('#panel-{tab} :is(.check, select)')].filter((one) => one.checkVisibility()).length]"
+            "[document.querySelector('h1').innerText === `demo – \
+             ${{document.getElementById('tab-{tab}').textContent}}`, \
+             [...document.querySelectorAll('#panel-{tab} :is(.check, select)')].filter((one) => \
+             one.checkVisibility()).length]"
         );
         assert_eq!(
             browser.evaluate(&titled).await,
@@ -128,7 +148,10 @@ async fn a_print_of_each_tab_is_complete() {
         );
         if !table.is_empty() {
             let kept = format!(
-                "(() => {{ const table = document.querySelector('#panel-{tab} table.{table}'); return [getComputedStyle(table.querySelector('thead')).display, getComputedStyle(table.querySelector('tbody tr')).display, getComputedStyle(table.closest('.card')).breakInside]; }})()"
+                "(() => {{ const table = document.querySelector('#panel-{tab} table.{table}'); \
+                 return [getComputedStyle(table.querySelector('thead')).display, \
+                 getComputedStyle(table.querySelector('tbody tr')).display, \
+                 getComputedStyle(table.closest('.card')).breakInside]; }})()"
             );
             let expected = json!(["table-header-group", "table-row", "auto"]);
             assert_eq!(browser.evaluate(&kept).await, expected, "{tab}");
@@ -154,16 +177,23 @@ async fn an_ended_record_is_called_ended_and_sentences_begin_with_capital_letter
         .open(&format!("{}#/structure/demo/events", demo.page))
         .await;
     browser.wait("the end of the demo", ENDED).await;
-    let badges = "[...document.querySelectorAll('.attention .badge')].filter((one) => !one.hidden).map((one) => one.textContent)";
+    let badges = "[...document.querySelectorAll('.attention .badge')].filter((one) => \
+                  !one.hidden).map((one) => one.textContent)";
     assert_eq!(
         browser.evaluate(badges).await,
         json!(["▲ Alarm", "■ record has ended"])
     );
     let sensors = "document.querySelector('.facts-line a').textContent";
     assert_eq!(browser.evaluate(sensors).await, "record has ended");
-    let small = "[...document.querySelectorAll('.events :is(strong, .why)[lang=en]')].map((one) => one.textContent).filter((text) => /^\\p{Ll}/u.test(text) && !text.startsWith('storey-'))";
+    let small = "[...document.querySelectorAll('.events :is(strong, .why)[lang=en]')].map((one) \
+                 => one.textContent).filter((text) => /^\\p{Ll}/u.test(text) && \
+                 !text.startsWith('storey-'))";
     assert_eq!(browser.evaluate(small).await, json!([]));
-    let capitals = "import('/words.js').then(({ capitalised }) => ['no decision on storey-2: the filter is still learning', 'the node sends again', 'not used: floor-1', 'it was silent for 14 s', 'storey-2 has lost 15 %', 'middle has lost 12 %', 'damping: the estimate is at its bound', 'deckA has lost 12 %'].map(capitalised))";
+    let capitals = "import('/words.js').then(({ capitalised }) => ['no decision on storey-2: the \
+                    filter is still learning', 'the node sends again', 'not used: floor-1', 'it \
+                    was silent for 14 s', 'storey-2 has lost 15 %', 'middle has lost 12 %', \
+                    'damping: the estimate is at its bound', 'deckA has lost 12 \
+                    %'].map(capitalised))";
     assert_eq!(
         browser.evaluate(capitals).await,
         json!([
@@ -179,7 +209,8 @@ async fn an_ended_record_is_called_ended_and_sentences_begin_with_capital_letter
         ])
     );
     browser.evaluate("location.hash = '#/'").await;
-    let card = "['sensors', 'lag'].map((fact) => document.querySelector(`.structure-card .fact-${fact}`)?.innerText)";
+    let card = "['sensors', 'lag'].map((fact) => document.querySelector(`.structure-card \
+                .fact-${fact}`)?.innerText)";
     browser
         .wait(
             "the card",
@@ -208,12 +239,15 @@ async fn events_are_limited_to_a_kind_that_the_address_keeps() {
         .open(&format!("{}#/structure/demo/events", demo.page))
         .await;
     browser.wait("the end of the demo", ENDED).await;
-    let titles = "[...new Set([...document.querySelectorAll('.events strong')].map((one) => one.textContent))]";
+    let titles = "[...new Set([...document.querySelectorAll('.events strong')].map((one) => \
+                  one.textContent))]";
     let all = browser.evaluate(titles).await;
     let all = all.as_array().unwrap().len();
     let choose = |kind: &str| {
         format!(
-            "(() => {{ const select = document.querySelector('#panel-events select'); select.value = '{kind}'; select.dispatchEvent(new Event('change')); return location.hash; }})()"
+            "(() => {{ const select = document.querySelector('#panel-events select'); \
+             select.value = '{kind}'; select.dispatchEvent(new Event('change')); return \
+             location.hash; }})()"
         )
     };
     assert_eq!(
@@ -223,7 +257,9 @@ async fn events_are_limited_to_a_kind_that_the_address_keeps() {
     let urgent = json!(["▲ alert raised", "◆ alert pending"]);
     assert_eq!(browser.evaluate(titles).await, urgent);
     // The text of an event has the whole width of a phone.
-    let narrow = "[...document.querySelectorAll('.events tbody tr')].filter((row) => row.children[2].clientWidth < row.clientWidth - 2 * parseFloat(getComputedStyle(row).paddingLeft) - 2).length";
+    let narrow = "[...document.querySelectorAll('.events tbody tr')].filter((row) => \
+                  row.children[2].clientWidth < row.clientWidth - 2 * \
+                  parseFloat(getComputedStyle(row).paddingLeft) - 2).length";
     assert_eq!(browser.evaluate(narrow).await, 0);
     browser.reload().await;
     let kept = "document.querySelectorAll('.events tbody tr').length === 2";
@@ -235,7 +271,8 @@ async fn events_are_limited_to_a_kind_that_the_address_keeps() {
     let others = browser.evaluate(titles).await;
     let others = others.as_array().unwrap();
     assert!(!others.is_empty() && others.len() < all, "{others:?}");
-    let signs = "[...document.querySelectorAll('.events strong')].filter((one) => /alert /.test(one.textContent)).length";
+    let signs = "[...document.querySelectorAll('.events strong')].filter((one) => /alert \
+                 /.test(one.textContent)).length";
     assert_eq!(browser.evaluate(signs).await, 0);
     assert_eq!(
         browser.evaluate(&choose("all")).await,
@@ -262,7 +299,8 @@ async fn the_label_of_a_threshold_is_below_its_line() {
         Object.assign(CanvasRenderingContext2D.prototype, {
           setLineDash(dash) { this.dash = dash.join(); return setLineDash.call(this, dash); },
           moveTo(x, y) { if (this.dash === '6,4') this.line = y; return moveTo.call(this, x, y); },
-          fillText(text, x, y) { if (text.startsWith('threshold')) labels.set(this.canvas, y - 11 - this.line); return fillText.call(this, text, x, y); },
+          fillText(text, x, y) { if (text.startsWith('threshold')) labels.set(this.canvas, y - 11 \
+          - this.line); return fillText.call(this, text, x, y); },
         });
         document.getElementById('tab-parameters').click();
       })()";
@@ -273,7 +311,8 @@ async fn the_label_of_a_threshold_is_below_its_line() {
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
-/// Regression test: a part whose fit was contradicted had no decision, but was drawn as certain damage.
+/// Regression test: a part whose fit was contradicted had no decision, but was drawn as certain
+/// damage.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_part_without_a_decision_does_not_look_like_damage() {
     let Some(mut browser) = browser().await else {
@@ -293,20 +332,30 @@ async fn a_part_without_a_decision_does_not_look_like_damage() {
     let shown = |state: &str| {
         format!(
             "(async () => {{
-                const [{{ NowTab }}, {{ Points, Scale, Span }}, {{ parameterPlot }}] = await Promise.all(['/now.js', '/span.js', '/plots.js'].map((file) => import(file)));
+                const [{{ NowTab }}, {{ Points, Scale, Span }}, {{ parameterPlot }}] = await \
+                Promise.all(['/now.js', '/span.js', '/plots.js'].map((file) => import(file)));
                 const {{ about, standing }} = await (await fetch('/api/structures/demo')).json();
-                standing.alerts.find(({{ parameter }}) => parameter === 'storey-2').state = '{state}';
-                Object.assign(standing.losses['storey-2'], {{ probability_of_loss: 1, reference: 1, loss: 0.25, interval: {{ level: 0.95, low: 0.125, high: 0.375 }} }});
+                standing.alerts.find(({{ parameter }}) => parameter === 'storey-2').state = \
+                '{state}';
+                Object.assign(standing.losses['storey-2'], {{ probability_of_loss: 1, reference: \
+                1, loss: 0.25, interval: {{ level: 0.95, low: 0.125, high: 0.375 }} }});
                 const span = new Span();
-                const page = {{ name: 'demo', about, span, points: new Points('demo', span), scale: new Scale(), standing: () => standing, choose() {{}} }};
+                const page = {{ name: 'demo', about, span, points: new Points('demo', span), \
+                scale: new Scale(), standing: () => standing, choose() {{}} }};
                 const tab = new NowTab(page);
                 tab.update(standing);
                 document.getElementById('main').replaceChildren(tab.element);
                 const part = tab.element.querySelector('.drawing .part[data-part=storey-2]');
                 const words = tab.element.querySelectorAll('.drawing .inside');
-                const row = [...tab.element.querySelectorAll('.parameters tbody tr')].find(({{ firstElementChild }}) => firstElementChild.textContent === 'storey-2');
-                const readout = parameterPlot(about.parameters[1], page.standing, page.points, span, null).plot.readout([[0], [0.85], [0], [0], [0.8], [0.9], [0], [0], [0.25], [0.125], [0.375], [1]], 0);
-                return [part.dataset.step ?? null, [...words].some((one) => one.textContent === '? undecided'), row.children[4].textContent, row.querySelector('.meter').hidden, readout, part.dataset.open ?? null, row.children[3].textContent === '0.625 to 0.875'];
+                const row = [...tab.element.querySelectorAll('.parameters tbody tr')].find(({{ \
+                firstElementChild }}) => firstElementChild.textContent === 'storey-2');
+                const readout = parameterPlot(about.parameters[1], page.standing, page.points, \
+                span, null).plot.readout([[0], [0.85], [0], [0], [0.8], [0.9], [0], [0], [0.25], \
+                [0.125], [0.375], [1]], 0);
+                return [part.dataset.step ?? null, [...words].some((one) => one.textContent === \
+                '? undecided'), row.children[4].textContent, row.querySelector('.meter').hidden, \
+                readout, part.dataset.open ?? null, row.children[3].textContent === '0.625 to \
+                0.875'];
             }})()"
         )
     };
@@ -380,7 +429,9 @@ async fn drawings_name_the_sensors_and_no_line_crosses_a_text() {
         .await;
     let behind = "(() => { \
         const floors = [...document.querySelectorAll('.drawing .floor')]; \
-        return [...document.querySelectorAll('.drawing .inside')].every((text) => floors.every((floor) => floor.compareDocumentPosition(text) & Node.DOCUMENT_POSITION_FOLLOWING)); })()";
+        return [...document.querySelectorAll('.drawing .inside')].every((text) => \
+        floors.every((floor) => floor.compareDocumentPosition(text) & \
+        Node.DOCUMENT_POSITION_FOLLOWING)); })()";
     assert_eq!(browser.evaluate(behind).await, true);
     let filled = "(() => { \
         const drawing = document.querySelector('.drawing'); \
@@ -414,8 +465,11 @@ async fn drawings_name_the_sensors_and_no_line_crosses_a_text() {
         let named = browser.evaluate(named).await.as_u64().unwrap();
         assert!(named >= least, "{named} points are named at {width} px");
         let overlap = "(() => { \
-            const texts = [...document.querySelectorAll('.drawing text:not(.sign)')].filter((one) => one.textContent).map((one) => one.getBoundingClientRect()); \
-            return texts.some((one, index) => texts.slice(index + 1).some((other) => one.left < other.right && other.left < one.right && one.top + 2 < other.bottom - 2 && other.top + 2 < one.bottom - 2)); })()";
+            const texts = [...document.querySelectorAll('.drawing text:not(.sign)')].filter((one) \
+            => one.textContent).map((one) => one.getBoundingClientRect()); return \
+            texts.some((one, index) => texts.slice(index + 1).some((other) => one.left < \
+            other.right && other.left < one.right && one.top + 2 < other.bottom - 2 && other.top \
+            + 2 < one.bottom - 2)); })()";
         assert_eq!(browser.evaluate(overlap).await, false, "at {width} px");
         browser.screenshot(&format!("bridge-{width}")).await;
     }
@@ -435,7 +489,8 @@ async fn sensors_events_and_settings_are_tables() {
         .await;
     let cell = |column: usize| {
         format!(
-            "document.querySelector('table.sensors tr[data-channel=floor-2]')?.children[{column}].textContent ?? ''"
+            "document.querySelector('table.sensors \
+             tr[data-channel=floor-2]')?.children[{column}].textContent ?? ''"
         )
     };
     browser
@@ -469,7 +524,8 @@ async fn sensors_events_and_settings_are_tables() {
     browser
         .wait(
             "the alarm among the events",
-            "[...document.querySelectorAll('table.events tr[data-level=alarm]')].some((one) => one.textContent.includes('▲ alert raised'))",
+            "[...document.querySelectorAll('table.events tr[data-level=alarm]')].some((one) => \
+             one.textContent.includes('▲ alert raised'))",
         )
         .await;
     browser.screenshot("events").await;
@@ -479,7 +535,8 @@ async fn sensors_events_and_settings_are_tables() {
     browser
         .wait(
             "the moment of the alarm",
-            "document.querySelector('#plot-parameter-storey-2.is-chosen canvas') && location.hash.includes('from=')",
+            "document.querySelector('#plot-parameter-storey-2.is-chosen canvas') && \
+             location.hash.includes('from=')",
         )
         .await;
     browser
@@ -514,7 +571,8 @@ async fn sensors_events_and_settings_are_tables() {
             "events",
             "settings",
         ] {
-            // As soon as the panel is shown, when its plots still have the width of the last window.
+            // As soon as the panel is shown, when its plots still have the width of the last
+            // window.
             let width_when_shown = format!(
                 "new Promise((done) => {{ \
                  const shown = () => done(document.documentElement.scrollWidth); \

@@ -139,7 +139,8 @@ async fn a_page_with_tokens_requires_one() {
     let structure = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
     let configuration = folder.path().join("spandrel.toml");
     let text = format!(
-        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\nlisten = \"127.0.0.1:0\"\n\
+        "structures = [{structure:?}]\n[bus]\nlisten = [\"tcp/{}\"]\n[dashboard]\n\
+         listen = \"127.0.0.1:0\"\n\
          tokens = \"tokens.json\"\n[history]\ndatabase = \"none\"\n[state]\nfolder = \"none\"\n",
         free_address()
     );
@@ -161,7 +162,8 @@ async fn a_page_with_tokens_requires_one() {
     browser.screenshot("entrance").await;
     let show = |token: &str| {
         format!(
-            "document.querySelector('#token').value = {token:?}; document.querySelector('#entrance').requestSubmit(); true"
+            "document.querySelector('#token').value = {token:?}; \
+             document.querySelector('#entrance').requestSubmit(); true"
         )
     };
     browser.evaluate(&show("spandrel-wrong")).await;
@@ -214,7 +216,8 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         .await;
     let cell = |node: &str, column: u64| {
         format!(
-            "document.querySelector('table.nodes tr[data-node={node}]')?.children[{column}].textContent ?? ''"
+            "document.querySelector('table.nodes \
+             tr[data-node={node}]')?.children[{column}].textContent ?? ''"
         )
     };
     // The samples of floor 8 are missing from 30 to 45 s. Those of floor 20 have a permanent
@@ -246,7 +249,9 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         .await;
     assert_eq!(heads, 7);
     // Names must not break at hyphens, and the lines of different nodes must look different.
-    let in_one_line = "(name) => { const text = document.createRange(); text.selectNodeContents(name); return new Set([...text.getClientRects()].map((part) => part.top)).size === 1; }";
+    let in_one_line = "(name) => { const text = document.createRange(); \
+                       text.selectNodeContents(name); return new \
+                       Set([...text.getClientRects()].map((part) => part.top)).size === 1; }";
     let names =
         format!("[...document.querySelectorAll('table.nodes th[scope=row]')].every({in_one_line})");
     assert_eq!(
@@ -254,7 +259,9 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         true,
         "a name takes more than a line"
     );
-    let looks = "[...document.querySelectorAll('#plot-nodes .key-line')].map((key) => key.style.getPropertyValue('--key') + key.firstChild.getAttribute('stroke-dasharray'))";
+    let looks = "[...document.querySelectorAll('#plot-nodes .key-line')].map((key) => \
+                 key.style.getPropertyValue('--key') + \
+                 key.firstChild.getAttribute('stroke-dasharray'))";
     assert_eq!(
         browser.evaluate(&format!("new Set({looks}).size")).await,
         16
@@ -353,11 +360,13 @@ async fn a_record_without_dates_is_plotted_over_its_own_time() {
         )
         .await;
     browser.screenshot("without-dates").await;
-    let file = "(async () => (await (await fetch('/api/structures/demo/history?series=parameter/storey-2&format=csv')).text()).split('\\n')[1])()";
+    let file = "(async () => (await (await \
+                fetch('/api/structures/demo/history?series=parameter/storey-2&format=csv')).text()).split('\\n')[1])()";
     let row = browser.evaluate(file).await;
     assert!(row.as_str().unwrap().starts_with("0"), "{row}");
     // The axis is drawn on a canvas, so the test calls the function that formats its labels.
-    let words = "(async () => { const { recordTime } = await import('/words.js'); return [0, 59.9996, 90, 3725.25].map((time) => recordTime(time, time % 1 ? 2 : 0)); })()";
+    let words = "(async () => { const { recordTime } = await import('/words.js'); return [0, \
+                 59.9996, 90, 3725.25].map((time) => recordTime(time, time % 1 ? 2 : 0)); })()";
     assert_eq!(
         browser.evaluate(words).await,
         json!(["0:00:00", "0:01:00.00", "0:01:30", "1:02:05.25"])
@@ -385,8 +394,10 @@ async fn model_classes_and_rejected_samples_are_plotted() {
         .unwrap()
         .replace("seed = 1\n", "seed = 1\nspike-share = 0.01\n");
     let tables = "[outliers]\n[classes]\nkind = \"predefined\"\n\
-                  [[classes.class]]\nname = \"lower-two\"\ngroups = [[\"storey-1\"], [\"storey-2\"]]\n\
-                  [[classes.class]]\nname = \"upper-two\"\ngroups = [[\"storey-4\"], [\"storey-5\"]]\n[[alert]]";
+                  [[classes.class]]\nname = \"lower-two\"\n\
+                  groups = [[\"storey-1\"], [\"storey-2\"]]\n\
+                  [[classes.class]]\nname = \"upper-two\"\n\
+                  groups = [[\"storey-4\"], [\"storey-5\"]]\n[[alert]]";
     assert!(
         text.contains("spike-share") && text.contains("[[alert]]"),
         "the example has changed"
@@ -420,7 +431,8 @@ async fn model_classes_and_rejected_samples_are_plotted() {
     // A plot is filled only while it is visible.
     let shown = |group: &str| {
         format!(
-            "!document.querySelector('#group-{group}').hidden && (document.querySelector('#group-{group}').scrollIntoView(), true)"
+            "!document.querySelector('#group-{group}').hidden && \
+             (document.querySelector('#group-{group}').scrollIntoView(), true)"
         )
     };
     browser.wait("classes", &shown("classes")).await;
@@ -534,7 +546,10 @@ async fn the_subscriber_of_the_docs_receives_parameters() {
         "{script}"
     );
     browser
-        .evaluate(&format!("{{ globalThis.told = []; const console = {{ log: (...words) => told.push(words.join(' ')) }};\n{script}\n}} true"))
+        .evaluate(&format!(
+            "{{ globalThis.told = []; const console = {{ log: (...words) => \
+                            told.push(words.join(' ')) }};\n{script}\n}} true"
+        ))
         .await;
     let shape = r"/^parameter\/storey-2 20\d\d-\d\d-\d\dT[\d:.]+Z [\d.]+ ± [\d.]+$/";
     browser
@@ -622,7 +637,10 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
     browser.prefer("light").await;
     // Innovations and noise levels have plots in another tab.
     browser
-        .evaluate("document.getElementById('tab-model').click(), document.querySelector('#group-innovations').scrollIntoView()")
+        .evaluate(
+            "document.getElementById('tab-model').click(), \
+                   document.querySelector('#group-innovations').scrollIntoView()",
+        )
         .await;
     browser
         .wait(
@@ -639,7 +657,10 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
     browser.screenshot("structure-plots").await;
     // The page fetches another span and keeps it.
     browser
-        .evaluate("[...document.querySelectorAll('.ranges button')].find((b) => b.textContent === '1 min').click()")
+        .evaluate(
+            "[...document.querySelectorAll('.ranges button')].find((b) => b.textContent === \
+                   '1 min').click()",
+        )
         .await;
     browser
         .wait(
@@ -656,7 +677,9 @@ async fn the_structure_is_drawn_and_plotted(browser: &mut Browser) {
             "document.querySelector('#plot-parameter-storey-2 canvas')",
         )
         .await;
-    let csv = "(async () => { const a = document.querySelector('#plot-parameter-storey-2 .files a'); a.addEventListener('click', (e) => e.preventDefault()); a.click(); return (await (await fetch(a.href)).text()).split('\\n'); })()";
+    let csv = "(async () => { const a = document.querySelector('#plot-parameter-storey-2 .files \
+               a'); a.addEventListener('click', (e) => e.preventDefault()); a.click(); return \
+               (await (await fetch(a.href)).text()).split('\\n'); })()";
     let lines = browser.evaluate(csv).await;
     assert!(
         lines[0]
@@ -712,21 +735,21 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
         .await;
     // Refetched data with half as many rows has another number for the row under the crosshair.
     let refetched = "(async () => { \
-        const read = () => document.querySelector('#plot-parameter-storey-1 .readout').textContent.slice(0, 8); \
-        const before = read(); \
+        const read = () => document.querySelector('#plot-parameter-storey-1 \
+        .readout').textContent.slice(0, 8); const before = read(); \
         const original = window.fetch; \
         const halved = new Promise((resolve) => { \
             window.fetch = async (address, options) => { \
                 const response = await original(address, options); \
                 if (!String(address).includes('parameter%2Fstorey-1')) return response; \
                 const answer = await response.json(); \
-                for (const one of answer.series) one.data = one.data.map((column) => column.filter((_, row) => (column.length - row) % 2 === 1)); \
-                setTimeout(resolve, 100); \
-                return { ok: true, json: async () => answer }; \
+                for (const one of answer.series) one.data = one.data.map((column) => \
+                column.filter((_, row) => (column.length - row) % 2 === 1)); setTimeout(resolve, \
+                100); return { ok: true, json: async () => answer }; \
             }; \
         }); \
-        document.querySelector('#plot-parameter-storey-1 .plot-holder').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' })); \
-        await halved; \
+        document.querySelector('#plot-parameter-storey-1 .plot-holder').dispatchEvent(new \
+        KeyboardEvent('keydown', { key: 'Home' })); await halved; \
         window.fetch = original; \
         return [before, read()]; })()";
     let clock = |reading: &Value| {
@@ -739,8 +762,8 @@ async fn plots_are_read_and_zoomed_by_keyboard(browser: &mut Browser) {
         (clock(&readings[0]) - clock(&readings[1])).abs() <= 2,
         "the crosshair reads another moment after new data: {readings}"
     );
-    // A busy machine drops display values, so that the nearest ones can be in different seconds. The
-    // crosshair has moved by sixty values, which are six seconds.
+    // A busy machine drops display values, so that the nearest ones can be in different seconds.
+    // The crosshair has moved by sixty values, which are six seconds.
     let time = |clock: &str| format!("Date.parse('1970-01-01T' + {clock})");
     let apart_ms = format!("Math.abs({} - {})", time(&first), time(&second));
     browser
@@ -779,12 +802,13 @@ async fn what_is_seen_is_a_picture_to_take_away(browser: &mut Browser) {
         let name = null; \
         HTMLAnchorElement.prototype.click = function () { name = this.download; }; \
         const bytes = await new Promise((resolve) => { \
-            URL.createObjectURL = (blob) => { resolve(blob.arrayBuffer()); return original(blob); }; \
-            document.querySelector('#plot-parameter-storey-2 .files button').dispatchEvent(new MouseEvent('click')); \
-        }); \
+            URL.createObjectURL = (blob) => { resolve(blob.arrayBuffer()); return original(blob); \
+            }; document.querySelector('#plot-parameter-storey-2 .files button').dispatchEvent(new \
+            MouseEvent('click')); }); \
         URL.createObjectURL = original; \
         delete HTMLAnchorElement.prototype.click; \
-        return { name, head: [...new Uint8Array(bytes).slice(0, 4)], length: bytes.byteLength }; })()";
+        return { name, head: [...new Uint8Array(bytes).slice(0, 4)], length: bytes.byteLength }; \
+        })()";
     let file = browser.evaluate(picture).await;
     assert_eq!(file["name"], "demo-parameter-storey-2.png");
     assert_eq!(file["head"], json!([0x89, 0x50, 0x4e, 0x47]));
@@ -848,7 +872,10 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
         )
         .await;
     let seen = browser
-        .evaluate("document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] .seen').textContent")
+        .evaluate(
+            "document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] \
+                   .seen').textContent",
+        )
         .await;
     // Regression: it had the time of the data. The sentence has the name and the note.
     let seen = seen.as_str().unwrap();
@@ -856,7 +883,8 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
         seen.starts_with("Acknowledged 20") && seen.ends_with(" UTC"),
         "{seen}"
     );
-    let sentence = "document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] .sentence').textContent";
+    let sentence = "document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] \
+                    .sentence').textContent";
     let sentence = browser.evaluate(sentence).await;
     let names = "acknowledged by Ada <b>Lovelace</b>: on my way";
     assert!(
@@ -883,7 +911,8 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
     browser
         .wait(
             "the moment",
-            "!document.querySelector('.ranges-bar .back').hidden && document.querySelector('.plot.is-chosen canvas')",
+            "!document.querySelector('.ranges-bar .back').hidden && \
+             document.querySelector('.plot.is-chosen canvas')",
         )
         .await;
     browser.screenshot("moment").await;
@@ -933,7 +962,8 @@ async fn a_lost_connection_heals(browser: &mut Browser, endpoint: &str) {
     browser
         .wait(
             "a page that is connected again",
-            "document.getElementById('lost').hidden && document.getElementById('link').dataset.state === 'open'",
+            "document.getElementById('lost').hidden && \
+             document.getElementById('link').dataset.state === 'open'",
         )
         .await;
     browser

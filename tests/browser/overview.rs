@@ -10,13 +10,16 @@ use serde_json::{Value, json};
 const OVERVIEW: &str = "(async () => {
     const { OverviewPage } = await import('/overview.js');
     const page = new OverviewPage({ listen() {}, on: () => () => {} });
-    const common = { description: '', sentence: 'why', has_model: true, is_filtered: true, age_s: 0, sensors: { alive: 1, total: 1, troubled: [] } };
+    const common = { description: '', sentence: 'why', has_model: true, is_filtered: true, age_s: \
+    0, sensors: { alive: 1, total: 1, troubled: [] } };
     page.show({ structures: STRUCTURES.map((structure) => ({ ...common, ...structure })) });
     document.getElementById('main').replaceChildren(page.element);
-    const [summary, reported] = ['.summary', '.reported'].map((name) => page.element.querySelector(name));
+    const [summary, reported] = ['.summary', '.reported'].map((name) => \
+    page.element.querySelector(name));
     return {
       summary: summary.textContent,
-      reported: [...reported.children].map((one) => [...one.querySelectorAll('.badge, a, p:not([hidden])')].map(({ textContent }) => textContent)),
+      reported: [...reported.children].map((one) => [...one.querySelectorAll('.badge, a, \
+      p:not([hidden])')].map(({ textContent }) => textContent)),
       links: [...reported.querySelectorAll('a')].map((link) => link.getAttribute('href')),
     };
   })()";
@@ -30,8 +33,8 @@ fn report(urgency: &str, at_s: f64, later: Option<&Value>) -> Value {
     json!({"report": format!("at-{at_s}"), "time_s": 1.6e9 + at_s, "urgency": urgency, "result": "It shook.", "later": later})
 }
 
-/// Regression test: the urgency was plain English text. The report of a weak aftershock replaced the
-/// one that asks for an inspector.
+/// Regression test: the urgency was plain English text. The report of a weak aftershock replaced
+/// the one that asks for an inspector.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_list_after_an_earthquake_begins_with_the_most_urgent_structure() {
     let Some(mut browser) = browser().await else {
@@ -64,7 +67,8 @@ async fn the_list_after_an_earthquake_begins_with_the_most_urgent_structure() {
     assert_eq!(shown["reported"], expected);
     assert_eq!(
         shown["summary"],
-        "▲ 4 structures watched, no alert; an inspector is needed after the earthquake: dam, bridge."
+        "▲ 4 structures watched, no alert; an inspector is needed after the earthquake: dam, \
+         bridge."
     );
     assert_eq!(
         shown["links"],
@@ -89,8 +93,8 @@ async fn the_list_after_an_earthquake_begins_with_the_most_urgent_structure() {
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
-/// Regression test: the summary said that nothing needs attention while no part had been judged, and
-/// that a softening part was acknowledged. It named every one of many structures.
+/// Regression test: the summary said that nothing needs attention while no part had been judged,
+/// and that a softening part was acknowledged. It named every one of many structures.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_summary_says_what_is_undecided_and_counts_many_structures() {
     let Some(mut browser) = browser().await else {
@@ -135,13 +139,14 @@ async fn the_summary_says_what_is_undecided_and_counts_many_structures() {
     let sensors = json!({"alive": 1, "total": 7, "troubled": ["a", "b", "c", "d", "e", "f"]});
     let many = json!([{"name": "s", "level": "warning", "sensors": sensors}]);
     overview(&mut browser, &many).await;
-    let card = "document.querySelector('.structure-card').textContent.includes('check: a, b, c, d; and 2 more')";
+    let card = "document.querySelector('.structure-card').textContent.includes('check: a, b, c, \
+                d; and 2 more')";
     assert_eq!(browser.evaluate(card).await, true);
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
-/// Regression test: the report of an earthquake was named by its file, and its sentence ended with an
-/// address.
+/// Regression test: the report of an earthquake was named by its file, and its sentence ended with
+/// an address.
 #[tokio::test(flavor = "multi_thread")]
 async fn events_of_an_earthquake_have_a_name_a_level_and_a_button() {
     let Some(mut browser) = browser().await else {
@@ -153,14 +158,18 @@ async fn events_of_an_earthquake_have_a_name_a_level_and_a_button() {
         const { EventsTab } = await import('/events.js');
         const tab = new EventsTab({ name: 'demo', about: { earthquakes: true, parameters: [] } });
         const path = '/events/demo/quake.html';
-        const event = (second, kind, what, why) => ({ time_ns: 1.6e18 + second * 1e9, kind, subject: 'quake', what, why });
+        const event = (second, kind, what, why) => ({ time_ns: 1.6e18 + second * 1e9, kind, \
+        subject: 'quake', what, why });
         tab.update({ changes: [], events: [
           event(2, 'earthquake-report', 'earthquake report: inspect first', `It shook. ${path}`),
           event(1, 'earthquake', 'earthquake begins', `a report follows: ${path}`),
           event(0, 'note', 'something else', 'see the manual'),
           event(-1, 'monitoring', 'the monitoring changed from blind to watching', 'all is seen'),
         ] });
-        return [...tab.rows.children].map((row) => [row.dataset.level, row.children[1].textContent, row.querySelector('.why').textContent, [...row.querySelectorAll('.button')].map((button) => button.getAttribute('href').split('?')[0])]);
+        return [...tab.rows.children].map((row) => [row.dataset.level, \
+        row.children[1].textContent, row.querySelector('.why').textContent, \
+        [...row.querySelectorAll('.button')].map((button) => \
+        button.getAttribute('href').split('?')[0])]);
       })()";
     let shown = browser.evaluate(script).await;
     let place = "#/structure/demo";
@@ -194,10 +203,12 @@ async fn parts_without_an_alert_are_folded_away() {
     browser
         .wait(
             "an alarm and four normal parts",
-            "document.querySelector('.alerts-page > .alerts > [data-state=raised]') && document.querySelectorAll('details.routine [data-state=normal]').length >= 4",
+            "document.querySelector('.alerts-page > .alerts > [data-state=raised]') && \
+             document.querySelectorAll('details.routine [data-state=normal]').length >= 4",
         )
         .await;
-    let seen = "[...document.querySelectorAll('.alerts:not(.past) .alert')].filter((one) => one.checkVisibility()).map((one) => one.dataset.state)";
+    let seen = "[...document.querySelectorAll('.alerts:not(.past) .alert')].filter((one) => \
+                one.checkVisibility()).map((one) => one.dataset.state)";
     assert_eq!(browser.evaluate(seen).await, json!(["raised"]));
     let choose = "(() => {
         const state = document.getElementById('filter-state');
@@ -220,7 +231,9 @@ async fn numbers_have_a_minus_sign_and_a_power_of_ten() {
     let script = "(async () => {
         const { comparedMeans, count, number, withMinus } = await import('/words.js');
         const change = { difference: -1e-6, low: -1e-3, high: 1e-3 };
-        return [number(-1.25e-4), number(3e6), number(-0.5), count(1234567), comparedMeans(change, { mean: 1 }).difference, withMinus('storey-2 on 2026-11-26: -4.6 to 5.8 %, (-1)')];
+        return [number(-1.25e-4), number(3e6), number(-0.5), count(1234567), \
+        comparedMeans(change, { mean: 1 }).difference, withMinus('storey-2 on 2026-11-26: -4.6 to \
+        5.8 %, (-1)')];
       })()";
     assert_eq!(
         browser.evaluate(script).await,
@@ -235,8 +248,8 @@ async fn numbers_have_a_minus_sign_and_a_power_of_ten() {
     );
 }
 
-/// Regression test: on a phone, a time covered the next fact, tables were cut off, and the bar had a
-/// second row with a single dot. German words are the longest.
+/// Regression test: on a phone, a time covered the next fact, tables were cut off, and the bar had
+/// a second row with a single dot. German words are the longest.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_phone_cuts_nothing_off_in_german() {
     let Some(mut browser) = browser().await else {
@@ -255,11 +268,15 @@ async fn a_phone_cuts_nothing_off_in_german() {
     browser
         .wait(
             "the end of the demo in German",
-            "document.querySelector('.structure-card[data-level=alarm]') && document.body.innerText.includes('Aufzeichnung beendet')",
+            "document.querySelector('.structure-card[data-level=alarm]') && \
+             document.body.innerText.includes('Aufzeichnung beendet')",
         )
         .await;
     // Names and words are longer than their cells only if they are cut off or cover others.
-    let cut = "[...document.querySelectorAll('.fact dd, .fact dt, .scroll, .plot-head, td, th')].filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth + 1 && getComputedStyle(one).display !== 'inline').map((one) => `${one.className} ${one.textContent.slice(0, 60)}`)";
+    let cut = "[...document.querySelectorAll('.fact dd, .fact dt, .scroll, .plot-head, td, \
+               th')].filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth + \
+               1 && getComputedStyle(one).display !== 'inline').map((one) => `${one.className} \
+               ${one.textContent.slice(0, 60)}`)";
     for tab in [
         "",
         "structure/demo",
@@ -275,17 +292,22 @@ async fn a_phone_cuts_nothing_off_in_german() {
         browser
             .wait(
                 tab,
-                "document.querySelector('.fact dd, .attention .sentence, .report-state .sentence')?.textContent && [...document.querySelectorAll('table')].every((table) => !table.checkVisibility() || table.querySelector('tbody tr'))",
+                "document.querySelector('.fact dd, .attention .sentence, .report-state \
+                 .sentence')?.textContent && \
+                 [...document.querySelectorAll('table')].every((table) => \
+                 !table.checkVisibility() || table.querySelector('tbody tr'))",
             )
             .await;
         assert_eq!(browser.evaluate(cut).await, json!([]), "{tab}");
-        let size = "[document.querySelector('.bar').offsetHeight < 56, document.documentElement.scrollWidth]";
+        let size = "[document.querySelector('.bar').offsetHeight < 56, \
+                    document.documentElement.scrollWidth]";
         assert_eq!(browser.evaluate(size).await, json!([true, 390]), "{tab}");
     }
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
-/// Regression test: tables had the order of the alphabet here, and that of the structure file there.
+/// Regression test: tables had the order of the alphabet here, and that of the structure file
+/// there.
 #[tokio::test(flavor = "multi_thread")]
 async fn parameters_and_sensors_have_the_order_of_the_structure_file() {
     let Some(mut browser) = browser().await else {

@@ -26,8 +26,10 @@ async fn the_structures_of_a_report_are_found_and_chosen_together() {
         const asked = (address) => /structures\\/(tower-\\d+)/.exec(address)?.[1];
         globalThis.fetch = async (address, ...more) => {
           const name = asked(address);
-          const answer = await (await load(name ? address.replace(name, 'demo') : address, ...more)).json();
-          if (address === '/api/structures') answer.structures = Array.from({ length: 30 }, (_, index) => ({ ...answer.structures[0], name: `tower-${index + 1}` }));
+          const answer = await (await load(name ? address.replace(name, 'demo') : address, \
+          ...more)).json();
+          if (address === '/api/structures') answer.structures = Array.from({ length: 30 }, (_, \
+          index) => ({ ...answer.structures[0], name: `tower-${index + 1}` }));
           if (name && answer.about) answer.about.name = answer.overview.name = name;
           return { ok: true, json: async () => answer };
         };
@@ -50,9 +52,13 @@ async fn the_structures_of_a_report_are_found_and_chosen_together() {
     browser.evaluate(&press(1)).await;
     assert_eq!(browser.evaluate(chosen).await, json!([]));
     browser
-        .evaluate("const search = document.querySelector('.report-form .search'); search.value = 'tower-2'; search.dispatchEvent(new Event('input'))")
+        .evaluate(
+            "const search = document.querySelector('.report-form .search'); search.value = \
+                   'tower-2'; search.dispatchEvent(new Event('input'))",
+        )
         .await;
-    let shown = "[...document.querySelectorAll('.choices label')].filter((one) => one.checkVisibility()).length";
+    let shown = "[...document.querySelectorAll('.choices label')].filter((one) => \
+                 one.checkVisibility()).length";
     assert_eq!(browser.evaluate(shown).await, 11, "tower-2, tower-20 to 29");
     browser.evaluate(&press(0)).await;
     assert_eq!(browser.evaluate(&count).await, 11);
@@ -83,7 +89,9 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
             "document.querySelector('.facts-line').textContent.includes('monitoring: blind')",
         )
         .await;
-    let happened = "fetch('/api/structures/demo').then((reply) => reply.json()).then(({ overview, standing }) => [standing.events[0].time_ns / 1e9 > overview.time_s, standing.events.length])";
+    let happened = "fetch('/api/structures/demo').then((reply) => reply.json()).then(({ overview, \
+                    standing }) => [standing.events[0].time_ns / 1e9 > overview.time_s, \
+                    standing.events.length])";
     let happened = browser.evaluate(happened).await;
     assert_eq!(happened[0], true);
     browser
@@ -96,7 +104,9 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     browser.screenshot("report-light").await;
 
     // All plots are there, although most are outside the window.
-    let lines = "[...document.querySelectorAll('.charts figure')].map((one) => [one.querySelector('figcaption').firstChild.textContent, one.querySelector('.line').getAttribute('d').split('L').length > 100])";
+    let lines = "[...document.querySelectorAll('.charts figure')].map((one) => \
+                 [one.querySelector('figcaption').firstChild.textContent, \
+                 one.querySelector('.line').getAttribute('d').split('L').length > 100])";
     let names = [
         "storey-1", "storey-2", "storey-3", "storey-4", "storey-5", "damping",
     ];
@@ -106,7 +116,8 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     );
     let rows = |table: &str| {
         format!(
-            "[...document.querySelectorAll('.report-part [aria-label={table:?}] tbody tr')].map((row) => [...row.children].map((cell) => cell.textContent))"
+            "[...document.querySelectorAll('.report-part [aria-label={table:?}] tbody \
+             tr')].map((row) => [...row.children].map((cell) => cell.textContent))"
         )
     };
     // The estimates at the end are those of the history.
@@ -139,15 +150,18 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
         .find(|event| event[2].as_str().unwrap().starts_with(of_monitoring));
     assert_eq!(changed.expect(of_monitoring)[1], "Monitoring");
     // Regression: the words of the threshold covered the estimates, which are above it.
-    let below = "[...document.querySelectorAll('.bound-text')].map((words) => words.getBBox().y >= Number(words.previousSibling.getAttribute('y1')))";
+    let below = "[...document.querySelectorAll('.bound-text')].map((words) => words.getBBox().y \
+                 >= Number(words.previousSibling.getAttribute('y1')))";
     assert_eq!(browser.evaluate(below).await, json!(vec![true; 5]));
 
     // In print, the form and the bar are hidden, and colours are those of paper.
     let print = json!({"media": "print"});
     browser.call("Emulation.setEmulatedMedia", print).await;
-    let hidden = "['.bar', '.report-form'].map((one) => getComputedStyle(document.querySelector(one)).display)";
+    let hidden = "['.bar', '.report-form'].map((one) => \
+                  getComputedStyle(document.querySelector(one)).display)";
     assert_eq!(browser.evaluate(hidden).await, json!(["none", "none"]));
-    let empty = "[...document.querySelectorAll('.chart')].filter((one) => one.getBoundingClientRect().height < 50).length";
+    let empty = "[...document.querySelectorAll('.chart')].filter((one) => \
+                 one.getBoundingClientRect().height < 50).length";
     assert_eq!(browser.evaluate(empty).await, 0);
     let pdf = json!({"preferCSSPageSize": true});
     let pdf = browser.call("Page.printToPDF", pdf).await;
@@ -161,8 +175,9 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
 
     // An event selects the time around it, and the address keeps it.
     let choose = "(() => { const select = document.getElementById('report-event'); \
-        const raised = [...select.options].find((one) => one.textContent.includes('storey-2 ▲ raised')); \
-        select.value = raised.value; select.dispatchEvent(new Event('change')); return Number(raised.value); })()";
+        const raised = [...select.options].find((one) => one.textContent.includes('storey-2 ▲ \
+        raised')); select.value = raised.value; select.dispatchEvent(new Event('change')); return \
+        Number(raised.value); })()";
     let at = browser.evaluate(choose).await.as_f64().unwrap();
     let hash = format!(
         "#/report?structures=demo&from={:.3}&to={:.3}",

@@ -17,7 +17,8 @@ const COLLECT: &str = "(() => {
     HTMLAnchorElement.prototype.click = async function () {
         const name = this.download;
         const bytes = new Uint8Array(await content.arrayBuffer());
-        window.files.push([name, btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(''))]);
+        window.files.push([name, btoa(Array.from(bytes, (byte) => \
+        String.fromCharCode(byte)).join(''))]);
     };
   })()";
 
@@ -55,7 +56,8 @@ async fn samples_around_an_event_are_saved_in_three_formats_with_equal_values() 
     browser
         .wait(
             "an event, and the end of the demo",
-            "document.querySelector('.events details') && document.body.innerText.includes('record has ended')",
+            "document.querySelector('.events details') && \
+             document.body.innerText.includes('record has ended')",
         )
         .await;
     browser.evaluate(COLLECT).await;
@@ -141,7 +143,11 @@ async fn a_range_without_samples_is_refused_with_its_reason_on_the_page() {
         )
         .await;
     let refused: Value = browser
-        .evaluate("(async () => { const response = await fetch('/api/structures/demo/samples?from=1&to=2&format=xml'); return [response.status, await response.json()]; })()")
+        .evaluate(
+            "(async () => { const response = await \
+                   fetch('/api/structures/demo/samples?from=1&to=2&format=xml'); return \
+                   [response.status, await response.json()]; })()",
+        )
         .await;
     let error = json!({"error": "format is `xml`", "allowed": "must be csv, mcap or mseed"});
     assert_eq!(refused, json!([400, error]));

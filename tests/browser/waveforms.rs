@@ -20,14 +20,16 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
         .wait(
             "the waveform",
             &format!(
-                "document.querySelector('#plot-waveform-floor-2 canvas') && / · −[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ to −?[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ m\\/s²$/.test({})",
+                "document.querySelector('#plot-waveform-floor-2 canvas') && / · \
+                 −[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ to −?[\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ m\\/s²$/.test({})",
                 readout("waveform")
             ),
         )
         .await;
     let cell = |column: usize| {
         format!(
-            "[...document.querySelectorAll('table.levels tbody tr')].find((row) => row.children[0].textContent === 'floor-2')?.children[{column}].textContent"
+            "[...document.querySelectorAll('table.levels tbody tr')].find((row) => \
+             row.children[0].textContent === 'floor-2')?.children[{column}].textContent"
         )
     };
     browser
@@ -54,14 +56,16 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
     browser
         .wait(
             "the plot of the spectrum",
-            "(document.querySelector('#plot-spectrum-floor-2')?.scrollIntoView(), document.querySelector('#plot-spectrum-floor-2 canvas'))",
+            "(document.querySelector('#plot-spectrum-floor-2')?.scrollIntoView(), \
+             document.querySelector('#plot-spectrum-floor-2 canvas'))",
         )
         .await;
     browser
         .wait(
             "the spectrum",
             &format!(
-                "/^[\\d.]+ Hz · [\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ \\(m\\/s²\\)²\\/Hz · mean of \\d+ windows? of 20.48 s$/.test({})",
+                "/^[\\d.]+ Hz · [\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ \\(m\\/s²\\)²\\/Hz · mean of \\d+ windows? of \
+                 20.48 s$/.test({})",
                 readout("spectrum")
             ),
         )
@@ -72,7 +76,8 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
         .wait(
             "the highest density",
             &format!(
-                "/ · highest density at [\\d.]+ Hz: [\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ \\(m\\/s²\\)²\\/Hz$/.test({})",
+                "/ · highest density at [\\d.]+ Hz: \
+                 [\\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+ \\(m\\/s²\\)²\\/Hz$/.test({})",
                 readout("spectrogram")
             ),
         )
@@ -80,10 +85,10 @@ async fn waveforms_and_spectra_of_the_sensors_are_shown() {
     // High densities are green and yellow, which nothing else in the plot is.
     let colours = format!(
         "(() => {{ const canvas = {spectrogram}; \
-           const {{ data }} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); \
-           let green = 0; \
-           for (let at = 0; at < data.length; at += 4) green += data[at + 1] > 150 && data[at + 1] > data[at] + 60 && data[at + 1] > data[at + 2] + 40; \
-           return green > 20; }})()"
+           const {{ data }} = canvas.getContext('2d').getImageData(0, 0, canvas.width, \
+           canvas.height); let green = 0; \
+           for (let at = 0; at < data.length; at += 4) green += data[at + 1] > 150 && data[at + \
+           1] > data[at] + 60 && data[at + 1] > data[at + 2] + 40; return green > 20; }})()"
     );
     browser.wait("the colours of densities", &colours).await;
     // Regression test: the first spectra were a strip at the right end of an empty plot. The plot
@@ -140,7 +145,8 @@ async fn waveforms_are_sent_only_on_request() {
                 const {{ Connection }} = await import('/connection.js');
                 const connection = new Connection();
                 const seen = new Set();
-                connection.on('points', ({{ series }}) => Object.keys(series).forEach((name) => seen.add(name.split('/')[0])));
+                connection.on('points', ({{ series }}) => Object.keys(series).forEach((name) => \
+                seen.add(name.split('/')[0])));
                 connection.want({wish});
                 connection.listen('demo');
                 await new Promise((done) => setTimeout(done, 3000));

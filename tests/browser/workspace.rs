@@ -1,5 +1,5 @@
-//! The page of a structure as a workspace: tabs, the address, small plots, search, time zones, a free
-//! time range, and access with assistive technology.
+//! The page of a structure as a workspace: tabs, the address, small plots, search, time zones, a
+//! free time range, and access with assistive technology.
 
 use super::layout::{demo, example};
 use super::{Browser, Program, browser, run_in, tool};
@@ -22,7 +22,8 @@ fn tall_building() -> String {
         "[structure]\nname = \"tall\"\ndescription = \"forty storeys\"\nsampling-rate-hz = 25\n\
          display-rate-hz = 10\n[model]\nkind = \"shear-building\"\nstoreys = 40\nmass-kg = 20_000\n\
          first-frequency-hz = 0.3\n[damping]\nkind = \"rayleigh\"\nratio = 0.02\nmodes = [1, 2]\n\
-         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
+         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\n\
+         measured-on = \"ground\"\n\
          [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
          quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n\
          [[alert]]\nparameters = \"stiffness\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
@@ -31,7 +32,8 @@ fn tall_building() -> String {
     for storey in 1..=STOREYS {
         write!(
             text,
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\n\
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
+             of = [\"storey-{storey}\"]\n\
              std = 0.05\n[[node]]\nname = \"node-{storey}\"\n[[node.channel]]\n\
              name = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\n\
              dof = \"floor-{storey}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
@@ -61,7 +63,8 @@ async fn tabs_are_operated_by_keyboard_and_kept_in_the_address() {
         .evaluate("document.getElementById('tab-now').focus()")
         .await;
     browser.press("ArrowRight").await;
-    let panels = "[...document.querySelectorAll('[role=tabpanel]')].filter((one) => !one.hidden).map((one) => one.id).join()";
+    let panels = "[...document.querySelectorAll('[role=tabpanel]')].filter((one) => \
+                  !one.hidden).map((one) => one.id).join()";
     assert_eq!(browser.evaluate(panels).await, "panel-parameters");
     assert_eq!(
         browser.evaluate("document.activeElement.id").await,
@@ -83,7 +86,10 @@ async fn tabs_are_operated_by_keyboard_and_kept_in_the_address() {
 
     // The length of the span and the zoom survive a reload.
     browser
-        .evaluate("[...document.querySelectorAll('.ranges button')].find((one) => one.textContent === '1 h').click()")
+        .evaluate(
+            "[...document.querySelectorAll('.ranges button')].find((one) => one.textContent \
+                   === '1 h').click()",
+        )
         .await;
     assert_eq!(
         browser.evaluate("location.hash").await,
@@ -138,12 +144,14 @@ async fn plots_of_hidden_tabs_are_not_drawn() {
         format!(
             "(async () => {{
                 document.getElementById('tab-{tab}').click();
-                await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+                await new Promise((done) => requestAnimationFrame(() => \
+                requestAnimationFrame(done)));
                 const {{ Connection }} = await import('/connection.js');
                 const connection = new Connection();
                 const original = CanvasRenderingContext2D.prototype.stroke;
                 let strokes = 0;
-                CanvasRenderingContext2D.prototype.stroke = function (...path) {{ strokes += 1; return original.apply(this, path); }};
+                CanvasRenderingContext2D.prototype.stroke = function (...path) {{ strokes += 1; \
+                return original.apply(this, path); }};
                 let messages = 0;
                 await new Promise((done) => {{
                     connection.on('points', () => (messages += 1) === 20 && done());
@@ -177,7 +185,8 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
         &demo,
         "#/structure/tall/parameters",
         "drawn small plots",
-        "document.getElementById('small-scale')?.textContent.startsWith('Common scale of all stiffnesses: ')",
+        "document.getElementById('small-scale')?.textContent.startsWith('Common scale of all \
+         stiffnesses: ')",
     )
     .await;
     let shown = "[...document.querySelectorAll('.small-plot')].filter((one) => !one.hidden)";
@@ -186,16 +195,19 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
     let lowest = browser.evaluate(&lowest).await.as_f64().unwrap();
     assert!(lowest <= 900.0, "the small plots end at {lowest} px");
     let rows = format!(
-        "new Set({shown}.map((one) => Math.round(one.getBoundingClientRect().top))).size * new Set({shown}.map((one) => Math.round(one.getBoundingClientRect().left))).size"
+        "new Set({shown}.map((one) => Math.round(one.getBoundingClientRect().top))).size * new \
+         Set({shown}.map((one) => Math.round(one.getBoundingClientRect().left))).size"
     );
     assert_eq!(browser.evaluate(&rows).await, STOREYS, "empty places");
     let cut = format!(
-        "{shown}.filter((one) => one.querySelector('.name').scrollWidth > one.querySelector('.name').clientWidth).length"
+        "{shown}.filter((one) => one.querySelector('.name').scrollWidth > \
+         one.querySelector('.name').clientWidth).length"
     );
     assert_eq!(browser.evaluate(&cut).await, 0, "names are cut off");
     browser.screenshot("forty-parameters").await;
     // Regression test: nothing stated the time of the small plots, and a print distorted them.
-    let times = "/ From left to right: .+ UTC to .+ UTC\\.$/.test(document.getElementById('small-scale').textContent)";
+    let times = "/ From left to right: .+ UTC to .+ \
+                 UTC\\.$/.test(document.getElementById('small-scale').textContent)";
     assert_eq!(browser.evaluate(times).await, true);
     browser
         .evaluate("dispatchEvent(new Event('beforeprint'))")
@@ -204,7 +216,8 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
     let print = json!({"media": "print"});
     browser.call("Emulation.setEmulatedMedia", print).await;
     let distorted = format!(
-        "{shown}.map((one) => one.querySelector('canvas')).filter((one) => Math.abs(one.clientWidth * one.height / (one.clientHeight * one.width) - 1) > 0.05).length"
+        "{shown}.map((one) => one.querySelector('canvas')).filter((one) => \
+         Math.abs(one.clientWidth * one.height / (one.clientHeight * one.width) - 1) > 0.05).length"
     );
     assert_eq!(browser.evaluate(&distorted).await, 0, "distorted in print");
     browser
@@ -213,7 +226,10 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
     browser.resize(1280, 900).await;
 
     browser
-        .evaluate("const search = document.querySelector('#panel-parameters .search'); search.value = 'storey-4'; search.dispatchEvent(new Event('input'))")
+        .evaluate(
+            "const search = document.querySelector('#panel-parameters .search'); \
+                   search.value = 'storey-4'; search.dispatchEvent(new Event('input'))",
+        )
         .await;
     let names = format!("{shown}.map((one) => one.dataset.parameter)");
     assert_eq!(
@@ -242,7 +258,8 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
             "document.querySelectorAll('#group-innovations .plot').length === 40",
         )
         .await;
-    let order = "[...document.querySelectorAll('#group-innovations .plot')].map((one) => Number(one.id.split('-').at(-1)))";
+    let order = "[...document.querySelectorAll('#group-innovations .plot')].map((one) => \
+                 Number(one.id.split('-').at(-1)))";
     let natural: Vec<usize> = (1..=STOREYS).collect();
     assert_eq!(browser.evaluate(order).await, json!(natural));
     // Regression: the first letter of a damaged storey was cut off, because its name is bold.
@@ -253,7 +270,9 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
             "document.querySelector('.drawing')?.checkVisibility()",
         )
         .await;
-    let cut = "[...document.querySelectorAll('.drawing .callout:not(.beside)')].map((name) => { name.parentElement.removeAttribute('visibility'); return [name.textContent, name.getBBox().x]; })";
+    let cut = "[...document.querySelectorAll('.drawing .callout:not(.beside)')].map((name) => { \
+               name.parentElement.removeAttribute('visibility'); return [name.textContent, \
+               name.getBBox().x]; })";
     let names = browser.evaluate(cut).await;
     let names = names.as_array().unwrap();
     assert_eq!(names.len(), STOREYS);
@@ -276,7 +295,8 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
         &demo,
         "#/",
         "an alarm with the line of the last day",
-        "document.querySelector('.structure-card[data-level=alarm] .trend:not([hidden])')?.getAttribute('aria-label').includes('over the last day')",
+        "document.querySelector('.structure-card[data-level=alarm] \
+         .trend:not([hidden])')?.getAttribute('aria-label').includes('over the last day')",
     )
     .await;
     let count = "document.querySelectorAll('.structure-card').length";
@@ -289,17 +309,22 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
         const { OverviewPage } = await import('/overview.js');
         const [one] = (await (await fetch('/api/structures')).json()).structures;
         let show = null;
-        const page = new OverviewPage({ listen() {}, on: (_, listener) => { show = listener; return () => {}; } });
+        const page = new OverviewPage({ listen() {}, on: (_, listener) => { show = listener; \
+        return () => {}; } });
         document.getElementById('main').replaceChildren(page.element);
         const at = (index) => ({ latitude: 47 + index / 250, longitude: 8 + (index % 25) / 10 });
-        show({ structures: Array.from({ length: 500 }, (_, index) => ({ ...one, name: `bridge-${index + 1}`, level: index === 49 ? 'alarm' : 'undecided', coordinates: at(index === 49 ? 262 : index) })) });
-        const shown = ['.structure-card', '.site'].map((name) => document.querySelectorAll(name).length);
+        show({ structures: Array.from({ length: 500 }, (_, index) => ({ ...one, name: \
+        `bridge-${index + 1}`, level: index === 49 ? 'alarm' : 'undecided', coordinates: at(index \
+        === 49 ? 262 : index) })) });
+        const shown = ['.structure-card', '.site'].map((name) => \
+        document.querySelectorAll(name).length);
         // Regression: among many signs, that of an alarm had no name.
         const isNameless = document.querySelector('.site[data-name=bridge-50]').classList.contains('is-crowded');
         const search = document.querySelector('.overview .search');
         search.value = 'bridge-50';
         search.dispatchEvent(new Event('input'));
-        return [shown, isNameless, ...['.structure-card', '.site'].map((name) => [...document.querySelectorAll(name)].map((one) => one.dataset.name).toSorted())];
+        return [shown, isNameless, ...['.structure-card', '.site'].map((name) => \
+        [...document.querySelectorAll(name)].map((one) => one.dataset.name).toSorted())];
       })()";
     let found = json!(["bridge-50", "bridge-500"]);
     assert_eq!(
@@ -307,14 +332,19 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
         json!([[500, 500], false, found, found])
     );
     browser.screenshot("many-structures").await;
-    // Regression: the facts of an alarm had one letter per line and covered each other, and the card
-    // beside it was as tall.
+    // Regression: the facts of an alarm had one letter per line and covered each other, and the
+    // card beside it was as tall.
     let legible = "(() => {
-        const [alarm, other] = ['bridge-50', 'bridge-500'].map((name) => document.querySelector(`.structure-card[data-name=${name}]`));
+        const [alarm, other] = ['bridge-50', 'bridge-500'].map((name) => \
+        document.querySelector(`.structure-card[data-name=${name}]`));
         const facts = [...alarm.querySelectorAll('.fact')].filter((one) => one.checkVisibility());
         const boxes = facts.map((one) => one.getBoundingClientRect());
-        const overlap = (a, b) => a !== b && a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
-        return [facts.length, boxes.filter(({ width }) => width < 100).length, boxes.filter((one) => boxes.some((two) => overlap(one, two))).length, facts.filter(({ lastChild: { scrollWidth, clientWidth } }) => scrollWidth > clientWidth).length, other.offsetHeight < alarm.offsetHeight];
+        const overlap = (a, b) => a !== b && a.left < b.right - 1 && b.left < a.right - 1 && \
+        a.top < b.bottom - 1 && b.top < a.bottom - 1;
+        return [facts.length, boxes.filter(({ width }) => width < 100).length, boxes.filter((one) \
+        => boxes.some((two) => overlap(one, two))).length, facts.filter(({ lastChild: { \
+        scrollWidth, clientWidth } }) => scrollWidth > clientWidth).length, other.offsetHeight < \
+        alarm.offsetHeight];
       })()";
     let expected = json!([5, 0, 0, 0, true]);
     assert_eq!(browser.evaluate(legible).await, expected);
@@ -328,8 +358,10 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
         const [one] = (await (await fetch('/api/structures')).json()).structures;
         const page = new OverviewPage({ listen() {}, on: () => () => {} });
         const of = (name, level) => ({ ...one, name, level });
-        page.show({ structures: [of('bridge-2', 'alarm'), of('bridge-1', 'normal'), of('bridge-10', 'normal'), of('bridge-3', 'normal')] });
-        return [...page.element.querySelectorAll('.structure-card')].map(({ dataset }) => dataset.name);
+        page.show({ structures: [of('bridge-2', 'alarm'), of('bridge-1', 'normal'), \
+        of('bridge-10', 'normal'), of('bridge-3', 'normal')] });
+        return [...page.element.querySelectorAll('.structure-card')].map(({ dataset }) => \
+        dataset.name);
       })()";
     assert_eq!(
         browser.evaluate(order).await,
@@ -340,7 +372,8 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
     let fallen = "[...document.querySelectorAll('.is-many .card-head')].filter((head) => {
         const trend = head.querySelector('.trend');
         trend.hidden = false;
-        return trend.getBoundingClientRect().top > head.querySelector('.badge').getBoundingClientRect().bottom;
+        return trend.getBoundingClientRect().top > \
+        head.querySelector('.badge').getBoundingClientRect().bottom;
       }).length";
     assert_eq!(browser.evaluate(fallen).await, 0);
     assert_eq!(browser.complaints(), Vec::<String>::new());
@@ -380,7 +413,8 @@ async fn times_are_shown_in_utc_or_in_the_zone_of_the_browser() {
     browser
         .wait(
             "the sentence of the server in local time",
-            "/since .* UTC\\+5:45$/.test(document.querySelector('.attention .sentence').textContent)",
+            "/since .* UTC\\+5:45$/.test(document.querySelector('.attention \
+             .sentence').textContent)",
         )
         .await;
     browser.reload().await;
@@ -412,8 +446,8 @@ async fn a_free_range_is_shown_and_exported() {
         .evaluate("document.querySelector('.ranges .free').click()")
         .await;
     let set = "(() => { \
-        const [from, to] = [document.getElementById('range-from'), document.getElementById('range-to')]; \
-        const end = Date.parse(to.value + 'Z') / 1000; \
+        const [from, to] = [document.getElementById('range-from'), \
+        document.getElementById('range-to')]; const end = Date.parse(to.value + 'Z') / 1000; \
         const field = (seconds) => new Date(1000 * seconds).toISOString().slice(0, 19); \
         [from.value, to.value] = [field(end - 40), field(end - 20)]; \
         document.getElementById('free-range').requestSubmit(); \
@@ -433,7 +467,9 @@ async fn a_free_range_is_shown_and_exported() {
             end - 20.0
         )
     );
-    let csv = "(async () => { const link = document.querySelector('#free-range a'); link.addEventListener('click', (event) => event.preventDefault()); link.click(); return (await (await fetch(link.href)).text()).trim().split('\\n'); })()";
+    let csv = "(async () => { const link = document.querySelector('#free-range a'); \
+               link.addEventListener('click', (event) => event.preventDefault()); link.click(); \
+               return (await (await fetch(link.href)).text()).trim().split('\\n'); })()";
     let lines = browser.evaluate(csv).await;
     let lines = lines.as_array().unwrap();
     for storey in 1..=5 {
@@ -442,7 +478,10 @@ async fn a_free_range_is_shown_and_exported() {
     }
     // Ten values of each parameter per second.
     assert!((195..=205).contains(&(lines.len() - 1)), "{}", lines.len());
-    let swapped = "(() => { const [from, to] = [document.getElementById('range-from'), document.getElementById('range-to')]; [from.value, to.value] = [to.value, from.value]; document.getElementById('free-range').requestSubmit(); return document.querySelector('#free-range .told').textContent; })()";
+    let swapped = "(() => { const [from, to] = [document.getElementById('range-from'), \
+                   document.getElementById('range-to')]; [from.value, to.value] = [to.value, \
+                   from.value]; document.getElementById('free-range').requestSubmit(); return \
+                   document.querySelector('#free-range .told').textContent; })()";
     assert_eq!(
         browser.evaluate(swapped).await,
         "The end must be after the start."
@@ -492,7 +531,14 @@ async fn axe_finds_no_obstacle_on_any_page() {
         ] {
             browser.evaluate(&format!("location.hash = '{hash}'")).await;
             browser
-                .wait(hash, &format!("document.querySelector('{content}') && (document.querySelector('{content}').scrollIntoView(), true)"))
+                .wait(
+                    hash,
+                    &format!(
+                        "document.querySelector('{content}') && \
+                                      (document.querySelector('{content}').scrollIntoView(), \
+                                      true)"
+                    ),
+                )
                 .await;
             let found = obstacles(&mut browser).await;
             assert_eq!(found, json!([]), "{hash}, {scheme}");
@@ -502,7 +548,9 @@ async fn axe_finds_no_obstacle_on_any_page() {
 
 /// Returns what axe-core finds on the page.
 async fn obstacles(browser: &mut Browser) -> Value {
-    let found = "axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => target.join(' ')).join(', ')}`))";
+    let found = "axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => \
+                 violations.map(({ id, nodes }) => `${id}: ${nodes.map(({ target }) => \
+                 target.join(' ')).join(', ')}`))";
     browser.evaluate(found).await
 }
 
@@ -525,13 +573,17 @@ async fn axe_finds_no_obstacle_without_data_without_a_model_and_in_a_report_of_a
     browser
         .wait("the card", "document.querySelector('.structure-card')")
         .await;
-    let facts = "[...document.querySelectorAll('.structure-card .fact')].filter((one) => one.checkVisibility()).map((one) => one.className.split('-').at(-1))";
+    let facts = "[...document.querySelectorAll('.structure-card .fact')].filter((one) => \
+                 one.checkVisibility()).map((one) => one.className.split('-').at(-1))";
     assert_eq!(
         browser.evaluate(facts).await,
         json!(["sensors", "monitoring", "lag", "age", "alert"])
     );
     // Regression test: the modes were prose, which spoke of 20 epochs after the first one.
-    let mode = "import('/words.js').then(({ modeWords, COLUMNS }) => [modeWords({ mode: 'sway-1', time_ns: 1504.78e9, state: 'tracked', partner: null, presence: 1, machine: null, estimate: { frequency_hz: 1, frequency_std_hz: 0.01, damping: 0.02, damping_std: 0.001 } }), COLUMNS.modes.length])";
+    let mode = "import('/words.js').then(({ modeWords, COLUMNS }) => [modeWords({ mode: 'sway-1', \
+                time_ns: 1504.78e9, state: 'tracked', partner: null, presence: 1, machine: null, \
+                estimate: { frequency_hz: 1, frequency_std_hz: 0.01, damping: 0.02, damping_std: \
+                0.001 } }), COLUMNS.modes.length])";
     assert_eq!(
         browser.evaluate(mode).await,
         json!([{"level": "normal", "cells": ["sway-1", "✓\u{a0}tracked", "1.0000 Hz", "0.9804 to 1.0196 Hz", "2.00 % ± 0.10 %", "1504.78 s", "100 %"]}, 7])

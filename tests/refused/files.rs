@@ -319,12 +319,14 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
     ),
     (
         "an unknown variable in a template",
-        "[[notify.email]]\nserver = \"mail\"\nfrom = \"a@b.example\"\nto = [\"c@d.example\"]\nsubject = \"{{ strucure }}\"\n",
+        "[[notify.email]]\nserver = \"mail\"\nfrom = \"a@b.example\"\nto = [\"c@d.example\"]\n\
+         subject = \"{{ strucure }}\"\n",
         &["notify.email[0].subject", "`strucure`", "structure"],
     ),
     (
         "quiet hours in an unknown time zone",
-        "[[notify.webhook]]\nurl = \"http://x/\"\nquiet = [{ from = \"22:00\", to = \"06:00\", zone = \"Mars/Base\" }]\n",
+        "[[notify.webhook]]\nurl = \"http://x/\"\n\
+         quiet = [{ from = \"22:00\", to = \"06:00\", zone = \"Mars/Base\" }]\n",
         &[
             "notify.webhook[0].quiet[0].zone",
             "Mars/Base",

@@ -274,7 +274,8 @@ fn requests(table: &mut Table, page: &Page) {
 
 async fn sockets(table: &mut Table, page: &Page) {
     table.section("WebSocket (`/api/live`)");
-    let socket = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n";
+    let socket = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n\
+                  Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n";
     let foreign = format!("{socket}Origin: https://example.org\r\n");
     let cases: [Asked<'_>; 4] = [
         (

@@ -93,7 +93,8 @@ impl Table {
             .find(|(kept, seen)| kept != seen);
         assert!(
             kept == table,
-            "docs/reliability.md differs from the observed effects ({differs:?}); UPDATE_DOCS=1 rewrites it"
+            "docs/reliability.md differs from the observed effects ({differs:?}); UPDATE_DOCS=1 \
+             rewrites it"
         );
     }
 }

@@ -24,8 +24,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
 
-/// Speed as a multiple of real time. The vote on the clocks compares them with a monotonic clock, so
-/// that nodes at another speed are in a permanent state of catching up.
+/// Speed as a multiple of real time. The vote on the clocks compares them with a monotonic clock,
+/// so that nodes at another speed are in a permanent state of catching up.
 const SPEED: f64 = 1.0;
 /// Structure whose ground is always measured by a correct node.
 const STEADY_HOUSE: usize = 0;
@@ -332,7 +332,8 @@ impl Besieged {
     fn get_structures(&self, token: &str, expected: &[&str]) {
         let page = &self.page;
         let request = format!(
-            "GET /api/structures HTTP/1.1\r\nHost: {page}\r\nAuthorization: Bearer {token}\r\nConnection: close\r\n\r\n"
+            "GET /api/structures HTTP/1.1\r\nHost: {page}\r\nAuthorization: Bearer {token}\r\n\
+             Connection: close\r\n\r\n"
         );
         let mut stream = TcpStream::connect(page).unwrap();
         stream.set_read_timeout(Some(DEADLINE)).unwrap();

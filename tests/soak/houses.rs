@@ -26,7 +26,9 @@ impl Houses {
     /// Creates the structures house-1, house-2, …, without nodes.
     pub fn new(count: usize, speed: f64) -> Self {
         let house = |number: usize| {
-            let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.3\ncredibility = 0.99\nsustain-s = 10\n";
+            let rules = "[ingest]\nlateness-s = 5\n[[alert]]\nparameters = \"all\"\n\
+                         reference.design-std = 1e-9\nloss = 0.3\ncredibility = 0.99\n\
+                         sustain-s = 10\n";
             let text = two_storeys(rules).replace("\"house\"", &format!("\"house-{number}\""));
             Site::with(&text.replace(
                 "sampling-rate-hz = 100",

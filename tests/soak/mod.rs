@@ -100,7 +100,8 @@ impl Town {
         .await
         .unwrap();
         let configuration = site.folder().join("spandrel.toml");
-        let text = "[bus]\nmode = \"client\"\n[state]\nfolder = \"kept\"\n[history]\ndatabase = \"history.sqlite\"\n\
+        let text = "[bus]\nmode = \"client\"\n[state]\nfolder = \"kept\"\n[history]\n\
+                    database = \"history.sqlite\"\n\
                     [dashboard]\nlisten = \"127.0.0.1:0\"\n";
         std::fs::write(&configuration, text).unwrap();
         let start = |service: &'static str| {
@@ -295,7 +296,8 @@ impl Report {
             .iter()
             .fold((0, 0), |(a, b), (put, frames)| (a + put, b + frames));
         println!(
-            "{STRUCTURES} structures at {SPEED} times real time for {} s; frames {frames}, samples put by the steady nodes {put}",
+            "{STRUCTURES} structures at {SPEED} times real time for {} s; frames {frames}, \
+             samples put by the steady nodes {put}",
             length.as_secs()
         );
         println!("nodes: {:?}", self.happened);

@@ -57,7 +57,8 @@ pub fn two_storeys(more: &str) -> String {
     } else {
         "[ingest]\nlateness-s = 3600\n"
     };
-    let roof_velocity = "[[node.channel]]\nname = \"roof-velocity\"\nquantity = \"velocity\"\ndof = \"floor-2\"\n\
+    let roof_velocity = "[[node.channel]]\nname = \"roof-velocity\"\nquantity = \"velocity\"\n\
+                         dof = \"floor-2\"\n\
                          unit = \"m/s\"\nnoise-std = 0.001\n";
     let roof = accelerometer("roof", "floor-2") + roof_velocity;
     shaken_storeys(2) + &accelerometer("floor-1", "floor-1") + &roof + lateness + more
@@ -75,18 +76,23 @@ pub fn storeys(count: u32, more: &str) -> String {
 /// Returns a building of four storeys in which each floor identifies its own parameters, fused at
 /// this rate (Hz). The stiffness is 10 % above the start value of the filters.
 pub fn distributed_storeys(fusions_hz: f64) -> String {
-    let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 50\nidentification = \"distributed\"\n\
-         [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\nfirst-frequency-hz = 1.0\n\
+    let mut text = "[structure]\nname = \"house\"\nsampling-rate-hz = 50\n\
+                    identification = \"distributed\"\n\
+         [model]\nkind = \"shear-building\"\nstoreys = 4\nmass-kg = 20_000\n\
+         first-frequency-hz = 1.0\n\
          [damping]\nkind = \"rayleigh\"\nratio = 0.02\n\
          [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.5\n"
         .to_owned();
     for storey in 1..=4 {
         text += &format!(
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nmean = 0.9\nstd = 0.1\n\
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
+             of = [\"storey-{storey}\"]\nmean = 0.9\nstd = 0.1\n\
              [[node]]\nname = \"floor-{storey}\"\n\
-             [[node.channel]]\nname = \"displacement-{storey}\"\nquantity = \"displacement\"\ndof = \"floor-{storey}\"\n\
+             [[node.channel]]\nname = \"displacement-{storey}\"\nquantity = \"displacement\"\n\
+             dof = \"floor-{storey}\"\n\
              unit = \"m\"\nnoise-std = 2e-4\n\
-             [[node.channel]]\nname = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\ndof = \"floor-{storey}\"\n\
+             [[node.channel]]\nname = \"acceleration-{storey}\"\n\
+             quantity = \"absolute-acceleration\"\ndof = \"floor-{storey}\"\n\
              unit = \"m/s2\"\nnoise-std = 0.01\n"
         );
     }
@@ -99,14 +105,19 @@ pub fn distributed_storeys(fusions_hz: f64) -> String {
 /// Returns equal storeys of uncertain stiffness, and the node `ground`.
 fn shaken_storeys(count: u32) -> String {
     let parameters = (1..=count).map(|number| {
-        format!("[[parameter]]\nname = \"storey-{number}\"\nscales = \"stiffness\"\nof = [\"storey-{number}\"]\n")
+        format!(
+            "[[parameter]]\nname = \"storey-{number}\"\nscales = \"stiffness\"\n\
+                 of = [\"storey-{number}\"]\n"
+        )
     });
     let model = format!(
         "[structure]\nname = \"house\"\nsampling-rate-hz = 100\n\
-         [model]\nkind = \"shear-building\"\nstoreys = {count}\nmass-kg = 20_000\nfirst-frequency-hz = 2.0\n\
+         [model]\nkind = \"shear-building\"\nstoreys = {count}\nmass-kg = 20_000\n\
+         first-frequency-hz = 2.0\n\
          [damping]\nkind = \"rayleigh\"\nratio = 0.02\n"
     );
-    let ground = "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\nmeasured-on = \"ground\"\n\
+    let ground = "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\n\
+                  measured-on = \"ground\"\n\
                   [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
                   quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n";
     model + &parameters.collect::<String>() + ground
@@ -116,7 +127,8 @@ fn shaken_storeys(count: u32) -> String {
 fn accelerometer(name: &str, dof: &str) -> String {
     format!(
         "[[node]]\nname = \"{name}\"\n[[node.channel]]\nname = \"{name}\"\n\
-         quantity = \"absolute-acceleration\"\ndof = \"{dof}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n\
+         quantity = \"absolute-acceleration\"\ndof = \"{dof}\"\nunit = \"m/s2\"\n\
+         noise-std = 0.005\n\
          noise-group = \"floors\"\nadapt-noise = true\n"
     )
 }

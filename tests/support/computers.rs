@@ -7,8 +7,8 @@
 //!
 //! Some commands are replaced, because they need a real machine. `systemctl` starts the command of
 //! a unit with its credentials, its folder and its readiness message, but without its sandbox.
-//! `scp` copies between folders. The results of `cargo build` and `apt-get install` already exist. The
-//! program is that of the tests, which is not static.
+//! `scp` copies between folders. The results of `cargo build` and `apt-get install` already exist.
+//! The program is that of the tests, which is not static.
 
 use super::{DEADLINE, Lab, Process, spandrel};
 use std::collections::BTreeMap;
@@ -24,8 +24,8 @@ const PLACES: [&str; 5] = ["etc", "usr/local/bin", "var/lib", "var/log", "run"];
 /// Script that mounts the folders of a computer and then runs the remaining arguments. The first
 /// argument is the parent of the folders.
 const ENTER: &str = "set -e; home=$1; shift; \
-    for place in etc usr/local/bin var/lib var/log run; do mount --bind \"$home/$place\" \"/$place\"; done; \
-    cd \"$home/source\"; exec \"$@\"";
+    for place in etc usr/local/bin var/lib var/log run; do mount \
+    --bind \"$home/$place\" \"/$place\"; done; cd \"$home/source\"; exec \"$@\"";
 /// Replacement of `sudo` for a user that is already root.
 const SUDO: &str = "#!/bin/sh\nif [ \"$1\" = -u ]; then user=$2; shift 2; \
     exec setpriv --reuid \"$user\" --regid \"$user\" --init-groups -- \"$@\"; fi\nexec \"$@\"\n";
@@ -306,7 +306,8 @@ impl Computers {
     pub fn install_postgresql(&mut self, computer: &str, version: &str) {
         // The folder of this machine, if it exists.
         let _ = std::fs::remove_dir_all(self.file(computer, "etc/postgresql"));
-        let folders = "install -d -o postgres -g postgres /run/postgresql /var/lib/postgresql /var/log/postgresql";
+        let folders = "install -d -o postgres -g postgres /run/postgresql /var/lib/postgresql \
+                       /var/log/postgresql";
         self.said(computer, folders);
         self.said(
             computer,

@@ -3,9 +3,9 @@
 //! `disk_log.c` logs every change that a process makes below a folder. [`DiskLog`] rebuilds the
 //! folder as it may be found after a power failure at any moment of this log.
 //!
-//! The model promises no more than POSIX, with one exception. A sync keeps the data of a file, or the
-//! names in a folder, but not the name of the file or folder itself. Of the changes that no sync
-//! covers:
+//! The model promises no more than POSIX, with one exception. A sync keeps the data of a file, or
+//! the names in a folder, but not the name of the file or folder itself. Of the changes that no
+//! sync covers:
 //!
 //! - each sector of a write survives or not, whatever its order;
 //! - a file can have grown although the data is lost, and then contains zeros;
@@ -22,8 +22,8 @@ use std::process::Command;
 
 /// Number of bytes of the head of a record: seven numbers.
 const HEAD: usize = 56;
-/// Ending of the shared memory of SQLite, which it writes through a mapping and never trusts after a
-/// restart.
+/// Ending of the shared memory of SQLite, which it writes through a mapping and never trusts after
+/// a restart.
 const SHARED_MEMORY: &str = "-shm";
 
 /// The library that logs, and the folder and files that it uses.

@@ -91,8 +91,8 @@ impl EstimateReader {
         Self::with_settings(bus, keys, StreamSettings::new(Start::Beginning)).await
     }
 
-    /// Joins a source that stores its estimates. On a busy machine, this reader waits for the source
-    /// as long as it takes, and does not give up its estimates.
+    /// Joins a source that stores its estimates. On a busy machine, this reader waits for the
+    /// source as long as it takes, and does not give up its estimates.
     pub async fn join_patiently(bus: &Bus, keys: &Keys) -> Self {
         Self::with_settings(bus, keys, StreamSettings::new(Start::Beginning).patient()).await
     }
@@ -245,8 +245,8 @@ pub fn assert_same_bits(
             .map_or("a noise level", String::as_str)
     });
     panic!(
-        "{route}: first difference in frame {number}, {parameter}\n  expected {} (spandrel estimate)\n  found    {}\n  \
-         {different} of {} frames differ",
+        "{route}: first difference in frame {number}, {parameter}\n  expected {} (spandrel \
+         estimate)\n  found    {}\n  {different} of {} frames differ",
         of(a),
         of(b),
         expected.len()

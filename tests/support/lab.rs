@@ -29,8 +29,8 @@ pub struct Link {
 }
 
 impl Lab {
-    /// Creates a lab of computers with these names. Skips the test if the machine lacks the tools or
-    /// the permission.
+    /// Creates a lab of computers with these names. Skips the test if the machine lacks the tools
+    /// or the permission.
     pub fn or_skip(names: &[&str], seed: u64) -> Option<Self> {
         let numbered = names.iter().enumerate();
         let numbered: Vec<_> = numbered

@@ -320,7 +320,8 @@ mod tests {
 
     #[test]
     fn blocks_are_found_with_their_shown_output() {
-        let page = "```text\nnot of a command\n```\n```sh\na\nb\n```\nprose\n```text\nsaid\n```\n```sh service\nc\n```\n";
+        let page = "```text\nnot of a command\n```\n```sh\na\nb\n```\nprose\n```text\nsaid\n```\n\
+                    ```sh service\nc\n```\n";
         let found = steps(page);
         assert_eq!(found.len(), 2);
         assert_eq!(

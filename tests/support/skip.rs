@@ -7,7 +7,8 @@ const REQUIRE_ALL: &str = "REQUIRE_ALL_TESTS";
 /// Environment variable that permits skipping the tests that read real records, which are not part
 /// of the repository.
 const WITHOUT_RECORDS: &str = "WITHOUT_RECORDS";
-/// Environment variable that names the folder of zenoh-pico, and one that permits skipping its test.
+/// Environment variable that names the folder of zenoh-pico, and one that permits skipping its
+/// test.
 const ZENOH_PICO: &str = "ZENOH_PICO";
 const WITHOUT_ZENOH_PICO: &str = "WITHOUT_ZENOH_PICO";
 /// Environment variable that names the file axe.min.js, and one that permits skipping its test.

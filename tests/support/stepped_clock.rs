@@ -13,7 +13,8 @@ pub struct SteppedClock {
 }
 
 impl SteppedClock {
-    /// Creates a clock that is right, with its files in `folder`. Skips the test without a C compiler.
+    /// Creates a clock that is right, with its files in `folder`. Skips the test without a C
+    /// compiler.
     pub fn or_skip(folder: &Path) -> Option<Self> {
         let clock = Self {
             library: compile_or_skip("stepped_clock", folder)?,

@@ -30,7 +30,8 @@ pub enum AccessError {
         path: PathBuf,
     },
     /// The folder is not the folder of a site.
-    #[error("{} is not a site folder: it has no {file}; create one with spandrel site create", folder.display())]
+    #[error("{} is not a site folder: it has no {file}; create one with spandrel site \
+             create", folder.display())]
     NoSite {
         /// Path of the folder.
         folder: PathBuf,
@@ -44,7 +45,8 @@ pub enum AccessError {
         path: PathBuf,
     },
     /// The certificate of the authority has expired.
-    #[error("the authority {} expired on {expired}; create a new one with spandrel site create --replace", path.display())]
+    #[error("the authority {} expired on {expired}; create a new one with spandrel site create \
+             --replace", path.display())]
     AuthorityExpired {
         /// Path of the certificate.
         path: PathBuf,
@@ -83,7 +85,8 @@ pub enum AccessError {
         days: u32,
     },
     /// The folder contains no certificate of a router, or none with the requested name.
-    #[error("{} has no certificate of a router; create one with spandrel site issue router NAME --host HOST", folder.display())]
+    #[error("{} has no certificate of a router; create one with spandrel site issue router NAME \
+             --host HOST", folder.display())]
     NoRouter {
         /// Path of the folder.
         folder: PathBuf,

@@ -289,8 +289,8 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         .concat(),
         // The publisher of a replayed or simulated record waits for its readers and queries the
         // last sample that ingest has stored.
-        // A feed also publishes conditions, reports gaps of its instruments as events, and publishes
-        // its own status. The history states which conditions it has stored.
+        // A feed also publishes conditions, reports gaps of its instruments as events, and
+        // publishes its own status. The history states which conditions it has stored.
         Role::Gateway => [
             rights(Role::Sensor),
             each(Right::Query, &[K::Recording, K::History]),

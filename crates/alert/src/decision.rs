@@ -12,8 +12,8 @@
 //! normal and pending. `unconfirmed` replaces raised and acknowledged until the loss is confirmed
 //! or cleared. A cleared alert remains cleared, and its message states that nothing is decided.
 //!
-//! In strong motion, and until the structure has settled, `softening-in-motion` replaces pending and
-//! raised. An alert that was raised before neither changes nor clears.
+//! In strong motion, and until the structure has settled, `softening-in-motion` replaces pending
+//! and raised. An alert that was raised before neither changes nor clears.
 //!
 //! A normal state becomes pending when the probability P of the loss reaches the credibility. It
 //! becomes raised when P has stayed there for the sustain time. A raised alert is cleared when P
@@ -94,7 +94,8 @@ pub struct Decision {
     #[serde(skip)]
     sustained_std: Option<f64>,
     /// Standard deviation by which the estimate changes if a channel is left out, per observation
-    /// row, as a ratio to nominal. Empty if it is unknown. The structure file and the baseline set it.
+    /// row, as a ratio to nominal. Empty if it is unknown. The structure file and the baseline set
+    /// it.
     #[serde(skip)]
     changes_without: Vec<Option<f64>>,
     /// Reference while a sensor is left out. It is learnt again after a restart.
@@ -104,8 +105,8 @@ pub struct Decision {
     /// it: strong motion is then judged like any other.
     #[serde(skip)]
     strong_m_per_s2: Option<f64>,
-    /// Upper end of the interval of the loss that a person has acknowledged. The first estimate after the
-    /// acknowledgement, or after a restart, sets it.
+    /// Upper end of the interval of the loss that a person has acknowledged. The first estimate
+    /// after the acknowledgement, or after a restart, sets it.
     #[serde(skip)]
     acknowledged_up_to: Option<f64>,
     /// Measured modes that contradict the model, in words. The comparison sets it.
@@ -426,7 +427,8 @@ impl Decision {
         }
     }
 
-    /// Adds an estimate to the reference without a sensor, if the estimate could also raise an alert.
+    /// Adds an estimate to the reference without a sensor, if the estimate could also raise an
+    /// alert.
     ///
     /// A rule with a given reference states no span of estimates.
     fn learn_without_sensor(&mut self, estimate: &ParameterEstimate, flags: &EstimateFlags) {
@@ -546,8 +548,8 @@ impl Decision {
         estimate.std < MEASURED_SHARE_OF_PRIOR * self.subject.prior_std
     }
 
-    /// Takes an estimate in strong motion, or before the structure has settled. Only softening in motion
-    /// can begin or end.
+    /// Takes an estimate in strong motion, or before the structure has settled. Only softening in
+    /// motion can begin or end.
     fn soften(&mut self, estimate: &ParameterEstimate, probability: f64) {
         self.interrupt();
         // As for a raised alert, a lower probability ends the state than begins it.

@@ -19,7 +19,8 @@ pub enum AlertError {
     },
     /// A reference is not positive, or too uncertain.
     #[error(
-        "reference is {mean:.4} ± {std:.4}, must be positive and more than 3 standard deviations from zero"
+        "reference is {mean:.4} ± {std:.4}, must be positive and more than 3 standard deviations \
+         from zero"
     )]
     Reference {
         /// Mean of the reference, as a ratio to nominal.
@@ -37,7 +38,8 @@ pub enum AlertError {
     },
     /// A rule names a missing parameter, or one without a reference.
     #[error(
-        "rule {rule} watches parameter {index}, must be one of the {count} identified ones with a reference"
+        "rule {rule} watches parameter {index}, must be one of the {count} identified ones with a \
+         reference"
     )]
     NoSuchParameter {
         /// Number of the rule, from 1.
@@ -57,7 +59,8 @@ pub enum AlertError {
     },
     /// One record does not show the scatter between records.
     #[error(
-        "one record does not show the scatter between records; use more records, or state it with --between-std"
+        "one record does not show the scatter between records; use more records, or state it with \
+         --between-std"
     )]
     OneRecord,
     /// The scatter between records is too large for an estimate from so few of them.

@@ -270,7 +270,8 @@ impl Memory {
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.consecutive();
-            warn!(%error, failures, "cannot save decisions; alerts may be published again after a crash");
+            warn!(%error, failures, "cannot save decisions; alerts may be published again after a \
+                                     crash");
         }
     }
 

@@ -276,8 +276,8 @@ impl Monitoring {
         }
     }
 
-    /// Judges the state at the wall-clock time `now_ns` (ns since the Unix epoch, UTC). `silence` is
-    /// the time since the last block of estimates.
+    /// Judges the state at the wall-clock time `now_ns` (ns since the Unix epoch, UTC). `silence`
+    /// is the time since the last block of estimates.
     ///
     /// Returns the display, and a change if the state has changed. A new state counts from its
     /// second judgement, because the first may be an accident.
@@ -371,8 +371,8 @@ impl Monitoring {
         states.collect()
     }
 
-    /// Returns the states of the channels that measure an excitation. Estimates do not contain their
-    /// use, but the filter uses each of their samples.
+    /// Returns the states of the channels that measure an excitation. Estimates do not contain
+    /// their use, but the filter uses each of their samples.
     fn excitation_states(&self) -> impl Iterator<Item = ChannelMonitoring> {
         self.excitations.iter().map(|channel| {
             let missing = self.missing.get(&channel.name).copied().unwrap_or(0.0);

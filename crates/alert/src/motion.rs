@@ -63,8 +63,8 @@ pub(crate) struct Shaking {
 }
 
 impl Motion {
-    /// Takes the largest acceleration (m/s²) of the present strong motion at a frame, `None` in weak
-    /// motion. Returns `true` if the strong motion has just ended.
+    /// Takes the largest acceleration (m/s²) of the present strong motion at a frame, `None` in
+    /// weak motion. Returns `true` if the strong motion has just ended.
     pub(crate) fn take(&mut self, strong_m_per_s2: Option<f32>, time_ns: i64) -> bool {
         let since_ns = self
             .present

@@ -75,8 +75,8 @@ pub struct AlertService {
     /// Comparisons of the sensors, while one of them is in doubt.
     sensor_health: Option<Subscription<SensorHealthDisplay>>,
     bus: Bus,
-    /// The comparison with the declared modes, and their messages. `None` if there is no model or no
-    /// declared mode.
+    /// The comparison with the declared modes, and their messages. `None` if there is no model or
+    /// no declared mode.
     model_check: Option<(ModelCheck, Subscription<ModeDisplay>)>,
     events: EventPublisher,
     clock: Clock,
@@ -534,7 +534,8 @@ impl AlertService {
         }
     }
 
-    /// Compares the modes of an epoch with the model, and publishes an event if the result has changed.
+    /// Compares the modes of an epoch with the model, and publishes an event if the result has
+    /// changed.
     async fn check_the_model(&mut self) -> Result<(), AlertError> {
         let Some((check, modes)) = &mut self.model_check else {
             return Ok(());

@@ -152,8 +152,8 @@ impl Watch {
         }
     }
 
-    /// Sets the measured modes that contradict the model, in words. No alert is decided until this is
-    /// `None` again.
+    /// Sets the measured modes that contradict the model, in words. No alert is decided until this
+    /// is `None` again.
     pub(crate) fn set_contradicting_modes(&mut self, modes: Option<&str>) {
         self.is_contradicted_by_modes = modes.is_some();
         let modes: Option<Arc<str>> = modes.map(Arc::from);
@@ -352,8 +352,8 @@ impl Watch {
         counts
     }
 
-    /// Returns whether a change of a parameter would be noticed at present, under the rule for which
-    /// the least would. `None` without a rule, or before the first estimate.
+    /// Returns whether a change of a parameter would be noticed at present, under the rule for
+    /// which the least would. `None` without a rule, or before the first estimate.
     pub(crate) fn vigilance(&self, parameter: usize) -> Option<Vigilance> {
         let decisions = self.decisions.iter();
         decisions

@@ -9,8 +9,8 @@ use crate::motion::Shaking;
 use crate::{Alert, LossEstimate, ParameterEstimate, ReferenceRule, Rule, Subject};
 
 /// Reason of a doubt about the sensors if none of them is named.
-pub(crate) const SENSORS_DISAGREE: &str = "the sensors measure different motions: their motion is too \
-     weak to compare, or a sensor is faulty";
+pub(crate) const SENSORS_DISAGREE: &str = "the sensors measure different motions: their motion is \
+                                           too weak to compare, or a sensor is faulty";
 
 /// Why nothing is decided without samples of the structure.
 pub(crate) const RESPONSE_IS_SILENT: &str = "no sensor of the response delivers usable samples";
@@ -20,8 +20,8 @@ pub(crate) const RESPONSE_IS_SILENT: &str = "no sensor of the response delivers 
 pub(crate) struct Before<'a> {
     /// The last announced alert.
     pub(crate) alert: Option<&'a Alert>,
-    /// The last estimate. It explains why nothing is decided, also if an unconfirmed alert states an
-    /// earlier one.
+    /// The last estimate. It explains why nothing is decided, also if an unconfirmed alert states
+    /// an earlier one.
     pub(crate) now: ParameterEstimate,
     /// Whether no sensor of the response delivers samples.
     pub(crate) is_silent: bool,
@@ -230,7 +230,8 @@ fn nothing_learnt(rule: &Rule, alert: &Alert, before: Before<'_>) -> String {
     let shown = format!("a loss of {}{why}", percent(twice));
     let (sound, scatter) = (reference.mean(), reference.std());
     format!(
-        "{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference {sound:.3} ± {scatter:.3})"
+        "{what} too uncertain to show {shown} (estimate {mean:.3} ± {std:.3}, reference \
+         {sound:.3} ± {scatter:.3})"
     )
 }
 
@@ -349,7 +350,8 @@ fn with_intervals(lost: f64, loss: &LossEstimate, alert: &Alert) -> (String, Str
             let [lost, low, high, least, most] =
                 per_cents([lost, loss.low, loss.high, within.low, within.high]);
             let intervals = format!(
-                "95 % interval for this structure {low} to {high} %, within this record {least} to {most} %"
+                "95 % interval for this structure {low} to {high} %, within this record {least} \
+                 to {most} %"
             );
             (format!("{lost} %"), intervals)
         }

@@ -107,7 +107,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     println!("The linear part: nothing identified, 2N states, N/5 channels\n");
     println!(
-        "| storeys | steps in turn | Spandrel µs | adskalman µs | kfilter µs |\n|---|---|---|---|---|"
+        "| storeys | steps in turn | Spandrel µs | adskalman µs | kfilter µs |\n\
+         |---|---|---|---|---|"
     );
     linear::<10, 1>(5, &options)?;
     if !options.smoke {
@@ -116,7 +117,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     println!("\nStructures that must keep up with their sensors\n");
     println!(
-        "| structure | states | channels | frames per second | µs a step | shortest µs | times real time |\n|---|---|---|---|---|---|---|"
+        "| structure | states | channels | frames per second | µs a step | shortest µs | times \
+         real time |\n|---|---|---|---|---|---|---|"
     );
     keep_up(&options)
 }
@@ -189,7 +191,8 @@ fn compare(storeys: usize, options: &Options) -> Result<Row, Box<dyn Error>> {
     let count = Count::of(&building, terms);
     let rates = Rates::measure(count.bytes);
     println!(
-        "{storeys} storeys: {:.2} Mflop, {:.2} MB a step; {:.1} Gflop/s, {:.1} GB/s; shortest step {:.1} µs",
+        "{storeys} storeys: {:.2} Mflop, {:.2} MB a step; {:.1} Gflop/s, {:.1} GB/s; shortest \
+         step {:.1} µs",
         count.flops / 1e6,
         count.bytes / 1e6,
         rates.flops_per_s / 1e9,

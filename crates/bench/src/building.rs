@@ -148,7 +148,8 @@ fn sensed(storeys: usize) -> impl Iterator<Item = usize> {
 fn parameters(storeys: usize) -> String {
     let storey = |storey| {
         format!(
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nstd = 0.1\n"
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
+             of = [\"storey-{storey}\"]\nstd = 0.1\n"
         )
     };
     let damping = |name| {
@@ -188,8 +189,10 @@ fn text(storeys: usize) -> String {
     text.extend(sensed(storeys).map(|dof| {
         let floor = dof + 1;
         format!(
-            "[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\n\
-             unit = \"m/s2\"\nnoise-std = {SENSOR_STD}\nnoise-group = \"floors\"\nadapt-noise = true\n"
+            "[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"absolute-acceleration\"\n\
+             dof = \"floor-{floor}\"\n\
+             unit = \"m/s2\"\nnoise-std = {SENSOR_STD}\nnoise-group = \"floors\"\n\
+             adapt-noise = true\n"
         )
     }));
     text

@@ -56,7 +56,8 @@ impl Monitored {
         text += "\n[[node]]\nname = \"more\"\n";
         for dof in ["node-3-y", "node-7-y", "node-11-y", "node-15-y"] {
             text += &format!(
-                "\n[[node.channel]]\nname = \"{dof}\"\nquantity = \"absolute-acceleration\"\ndof = \"{dof}\"\nunit = \"m/s2\"\n\
+                "\n[[node.channel]]\nname = \"{dof}\"\nquantity = \"absolute-acceleration\"\n\
+                 dof = \"{dof}\"\nunit = \"m/s2\"\n\
                  noise-std = 0.05\n"
             );
         }

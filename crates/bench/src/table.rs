@@ -31,8 +31,9 @@ pub struct Row {
 #[must_use]
 pub fn markdown(rows: &[Row]) -> String {
     let mut text = String::from(
-        "| storeys | states | Spandrel µs | noises known µs | floor µs | over floor | dense nalgebra µs | times | filterpy µs | times \
-         | NumPy µs | times |\n|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+        "| storeys | states | Spandrel µs | noises known µs | floor µs | over floor | dense \
+         nalgebra µs | times | filterpy µs | times | NumPy µs | times |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for row in rows {
         let peer = |time_s: f64| {

@@ -110,8 +110,8 @@ pub struct FollowCounts {
     /// Number of times that received blocks were beyond the end that the source reports, or had an
     /// epoch or term that no source has.
     pub impossible_blocks: u64,
-    /// Number of consecutive blocks of an earlier epoch. Their source still runs, and a higher epoch
-    /// excludes it.
+    /// Number of consecutive blocks of an earlier epoch. Their source still runs, and a higher
+    /// epoch excludes it.
     pub locked_out_blocks: u64,
 }
 
@@ -277,8 +277,8 @@ impl<B: Block> Follower<B> {
             || self.patience == Patience::Limited && (has_earlier_epoch || self.has_denied(epoch))
     }
 
-    /// Returns `true` if an excluded run has delivered long enough while the present one was silent.
-    /// Otherwise counts the block.
+    /// Returns `true` if an excluded run has delivered long enough while the present one was
+    /// silent. Otherwise counts the block.
     fn outlasts_the_present_run(&mut self, block: &B) -> bool {
         let header = block.header();
         let (term, epoch) = (block.term(), header.epoch);

@@ -302,7 +302,8 @@ pub enum Malformed {
     },
     /// The sequence numbers of the items exceed 64 bits.
     #[error(
-        "block of {count} items starts at sequence number {sequence} and exceeds the largest sequence number"
+        "block of {count} items starts at sequence number {sequence} and exceeds the largest \
+         sequence number"
     )]
     SequenceOverflow {
         /// Sequence number of the first item.
@@ -430,7 +431,8 @@ fn check_finite_or_missing(what: &'static str, values: &[f64]) -> Result<(), Mal
     }
 }
 
-/// Returns the bounds of a range in words. The largest numbers, which are no bounds, have 309 digits.
+/// Returns the bounds of a range in words. The largest numbers, which are no bounds, have 309
+/// digits.
 fn bounds(low: f64, high: f64) -> String {
     match (low > f64::MIN, high < f64::MAX) {
         (true, true) => format!("lie between {low} and {high}"),

@@ -228,7 +228,8 @@ mod tests {
     #[test]
     fn endpoints_per_mode_are_checked_for_the_chosen_mode() {
         let by_mode = "{mode: \"router\", scouting: {multicast: {enabled: false}}, \
-                       listen: {endpoints: {router: [\"tcp/10.0.0.5:1\"], peer: [\"tcp/127.0.0.1:0\"]}}}";
+                       listen: {endpoints: {router: [\"tcp/10.0.0.5:1\"], peer: \
+                       [\"tcp/127.0.0.1:0\"]}}}";
         assert!(matches!(
             checked(by_mode),
             Err(BusError::Unprotected { .. })

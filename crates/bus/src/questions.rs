@@ -92,8 +92,8 @@ impl Question {
         Ok(())
     }
 
-    /// Replies to an invalid query with an error, and counts the query. The rate of its log lines is
-    /// limited.
+    /// Replies to an invalid query with an error, and counts the query. The rate of its log lines
+    /// is limited.
     pub async fn reject(&self, why: &str) {
         self.refusals.add(self.key_expression(), why);
         self.refuse(why).await;

@@ -79,7 +79,8 @@ pub enum Answer<B> {
 /// A block that does not follow the previous block.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "block starts at item {found} of epoch {found_epoch}, expected item {expected} of epoch {epoch} or a later epoch"
+    "block starts at item {found} of epoch {found_epoch}, expected item {expected} of epoch \
+     {epoch} or a later epoch"
 )]
 pub struct NotConsecutive {
     /// Expected sequence number.

@@ -83,7 +83,8 @@ pub enum TlsError {
     },
     /// The certificate has expired or is not yet valid. A correct clock or a new certificate in the
     /// same file solves this.
-    #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
+    #[error("certificate {} is not accepted: {why} (authority \
+             {})", certificate.display(), authority.display())]
     NotInTime {
         /// The certificate.
         certificate: PathBuf,
@@ -93,7 +94,8 @@ pub enum TlsError {
         why: String,
     },
     /// The authority has not issued the certificate.
-    #[error("certificate {} is not accepted: {why} (authority {})", certificate.display(), authority.display())]
+    #[error("certificate {} is not accepted: {why} (authority \
+             {})", certificate.display(), authority.display())]
     NotAccepted {
         /// The certificate.
         certificate: PathBuf,

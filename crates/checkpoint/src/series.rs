@@ -365,8 +365,8 @@ pub fn sync_name(path: &Path) {
     }
 }
 
-/// Writes a file for its owner alone, and renames it over an existing one. On return, the new file is
-/// on disk. A failure, also of the power, leaves the old file or the new one.
+/// Writes a file for its owner alone, and renames it over an existing one. On return, the new file
+/// is on disk. A failure, also of the power, leaves the old file or the new one.
 ///
 /// # Errors
 /// The file cannot be written or renamed. An existing file is then unchanged.

@@ -21,8 +21,8 @@ pub(crate) struct About {
     pub(crate) half_life_s: f64,
     /// Whether there is a model. Without one, only natural frequencies are followed.
     pub(crate) has_model: bool,
-    /// Whether a filter estimates the parts of the model from every frame, so that alerts judge them
-    /// within seconds. Otherwise there is no model, or natural frequencies update it.
+    /// Whether a filter estimates the parts of the model from every frame, so that alerts judge
+    /// them within seconds. Otherwise there is no model, or natural frequencies update it.
     pub(crate) is_filtered: bool,
     /// Whether nodes identify the structure from their own samples and a station fuses the results.
     pub(crate) distributed: bool,
@@ -37,8 +37,8 @@ pub(crate) struct About {
     pub(crate) modes: Vec<AboutMode>,
     pub(crate) rules: Vec<AboutRule>,
     pub(crate) drawing: Drawing,
-    /// Index of each observed channel in the drawing's list of sensors. Without a filter, those from
-    /// which modes are identified.
+    /// Index of each observed channel in the drawing's list of sensors. Without a filter, those
+    /// from which modes are identified.
     #[serde(skip)]
     pub(crate) observed: Vec<usize>,
 }

@@ -151,7 +151,8 @@ fn check_host(headers: &HeaderMap) -> Result<(), Mistake> {
     match is_loopback(name) {
         true => Ok(()),
         false => {
-            let allowed = "must be an address of this machine, such as 127.0.0.1; dashboard.tokens opens the page to others";
+            let allowed = "must be an address of this machine, such as 127.0.0.1; \
+                           dashboard.tokens opens the page to others";
             Err(Mistake::new(
                 StatusCode::FORBIDDEN,
                 "the request uses a foreign host name",

@@ -9,7 +9,8 @@ use std::path::PathBuf;
 pub enum DashboardError {
     /// The address is in use or invalid, or this process may not listen on it.
     #[error(
-        "cannot serve the page on {address}, must be a free address such as 127.0.0.1:8080, or none for no page"
+        "cannot serve the page on {address}, must be a free address such as 127.0.0.1:8080, or \
+         none for no page"
     )]
     Listen {
         /// Requested address.
@@ -65,13 +66,15 @@ pub enum DashboardError {
     /// The token file contains no token.
     ///
     /// Without any token the page would be open to everybody, so an empty file is an error.
-    #[error("token file {} has no token, must have at least one; use spandrel token to add one, or remove dashboard.tokens to serve an open page", path.display())]
+    #[error("token file {} has no token, must have at least one; use spandrel token to add one, \
+             or remove dashboard.tokens to serve an open page", path.display())]
     NoTokens {
         /// Path of the file.
         path: PathBuf,
     },
     /// The name already has a token.
-    #[error("{name} already has a token in {}; use --replace to create another, which invalidates the old one", path.display())]
+    #[error("{name} already has a token in {}; use --replace to create another, which invalidates \
+             the old one", path.display())]
     TokenExists {
         /// The name.
         name: Name,

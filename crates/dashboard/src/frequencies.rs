@@ -25,7 +25,8 @@ pub(crate) fn attention(store: &Store) -> (Level, String) {
         ),
         _ if store.about.judged.is_empty() => (
             Level::Undecided,
-            "natural frequencies are followed, but not judged: the structure file has no quantity in [judge]",
+            "natural frequencies are followed, but not judged: the structure file has no quantity \
+             in [judge]",
         ),
         _ if state.judgements.is_empty() => (Level::Learning, "no judgement yet"),
         Some(judgement) if judgement.state == JudgementState::Learning => {
@@ -184,7 +185,8 @@ mod tests {
         );
     }
 
-    /// A lasting change is not an alert, so that the page showed a structure with a model as normal.
+    /// A lasting change is not an alert, so that the page showed a structure with a model as
+    /// normal.
     #[test]
     fn lasting_change_of_a_structure_with_a_model_is_told() {
         let mut store = demo_with_air();

@@ -28,9 +28,9 @@
 //!
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
 //! and `overview` (what needs attention, and why), `frequencies` (the same without a model),
-//! `levels` (samples of the last minute), `conditions` (temperatures and the like), `view` (data for
-//! the page), `history` (spans of time), `judgements` (years of a judged quantity),
-//! `reports` (reports of earthquakes), `stretch` and `samples` (samples of a range as a file).
+//! `levels` (samples of the last minute), `conditions` (temperatures and the like), `view` (data
+//! for the page), `history` (spans of time), `judgements` (years of a judged quantity), `reports`
+//! (reports of earthquakes), `stretch` and `samples` (samples of a range as a file).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
 //! heads), `gate` and `entrance` (who may do what).

@@ -584,7 +584,8 @@ mod tests {
             "spandrel_refused_total{reason=\"wrong-token\"} 40",
             "spandrel_refused_total{reason=\"bus-handshake\"} 0",
             "spandrel_parameter_mean{structure=\"demo\",parameter=\"storey-2\"} 0.85",
-            "spandrel_parameter_probability_of_loss{structure=\"demo\",parameter=\"storey-2\"} 0.997",
+            "spandrel_parameter_probability_of_loss{structure=\"demo\",parameter=\"storey-2\"} \
+             0.997",
             "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"raised\"} 1.0",
             "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"normal\"} 0.0",
             "spandrel_measured_time_seconds{structure=\"demo\"} 5.0",
@@ -667,7 +668,8 @@ mod tests {
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"doubtful\"} 1.0",
             "spandrel_identify_fit_verdict{structure=\"demo\",verdict=\"supported\"} 0.0",
             "spandrel_identify_fit_reason{structure=\"demo\",reason=\"excess-noise\"} 1.0",
-            "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"undecided\"} 1.0",
+            "spandrel_alert_state{structure=\"demo\",parameter=\"storey-2\",state=\"undecided\"} \
+             1.0",
             "spandrel_alert_undecided{structure=\"demo\",parameter=\"storey-2\",reason=\"nothing-learnt\"} 1.0",
             "spandrel_alert_undecided{structure=\"demo\",parameter=\"storey-2\",reason=\"fit-contradicted\"} 0.0",
         ] {

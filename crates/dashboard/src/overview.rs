@@ -23,8 +23,8 @@ const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 const LATE_S: f64 = 10.0;
 /// Maximum number of further parts that the sentence of an alert names.
 const PARTS_NAMED: usize = 3;
-/// Probability of a loss above which only the loss distinguishes parts. The page shows all of them as
-/// above 99.9 %.
+/// Probability of a loss above which only the loss distinguishes parts. The page shows all of them
+/// as above 99.9 %.
 const CERTAIN: f64 = 0.999;
 
 /// Urgency of a structure, the most urgent first.

@@ -9,8 +9,9 @@ use axum::response::{IntoResponse, Response};
 
 /// Content security policy. The page may load its own files and connect to its own server, and
 /// nothing else.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
-                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' \
+                      data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; \
+                      frame-ancestors 'none'";
 
 /// Headers that prevent pages of other sites from opening or loading this page, and deny it the use
 /// of devices.

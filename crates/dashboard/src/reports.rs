@@ -24,8 +24,8 @@ enum Form {
 }
 
 impl WantedReport {
-    /// Parses the name of a file, such as `2022-12-20t10-34-01z.html`. The list names the files with
-    /// their structure, as `spandrel earthquake` does.
+    /// Parses the name of a file, such as `2022-12-20t10-34-01z.html`. The list names the files
+    /// with their structure, as `spandrel earthquake` does.
     pub(crate) fn parse(structure: &str, file: &str) -> Result<Self, Mistake> {
         let unknown = || {
             Mistake::new(

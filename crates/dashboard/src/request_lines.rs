@@ -251,7 +251,8 @@ mod tests {
     fn a_head_with_proper_lines_and_any_body_stay_as_they_are() {
         for text in [
             "\r\nGET / HTTP/1.1\r\nHost: a\r\n\r\nGET / HTTP/1.1\r\nHost: a\r\n\r\n",
-            "POST / HTTP/1.1\r\ncontent-length:  5 \r\n\r\n{\n\n\n}GET / HTTP/1.1\r\nHost: a\r\n\r\n",
+            "POST / HTTP/1.1\r\ncontent-length:  5 \r\n\r\n{\n\n\n}GET / HTTP/1.1\r\n\
+             Host: a\r\n\r\n",
             "POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n1\r\n\n\r\n0\r\n\r\n",
             "GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n\n\u{81}\n",
         ] {

@@ -118,7 +118,8 @@ fn too_long(channels: usize, longest_s: f64) -> String {
     format!("must be at most {longest_s:.0} s, for {MOST_SAMPLES} samples of {channels} channels")
 }
 
-/// Returns the start of a range for the name of a file: a date, or seconds of a record without dates.
+/// Returns the start of a range for the name of a file: a date, or seconds of a record without
+/// dates.
 fn stamp(time_ns: i64) -> String {
     let time = jiff::Timestamp::from_second(time_ns.div_euclid(1_000_000_000));
     match time {

@@ -170,7 +170,8 @@ fn health(store: &Store, sensor: &DrawnSensor) -> SensorHealth {
     }
 }
 
-/// Returns the share of the samples of a channel that the filter uses, as the alert service reports it.
+/// Returns the share of the samples of a channel that the filter uses, as the alert service reports
+/// it.
 fn used_share(store: &Store, channel: &str) -> Option<f64> {
     let display = store.state.monitoring()?;
     let mut channels = display.channels.iter();

@@ -267,8 +267,8 @@ impl Server {
         answers.into_iter().map(|(_, page)| page).next()
     }
 
-    /// Reads the frames of a stretch from the recording of ingest. Returns `None` if ingest does not
-    /// reply in time.
+    /// Reads the frames of a stretch from the recording of ingest. Returns `None` if ingest does
+    /// not reply in time.
     pub(crate) async fn read_stretch(
         &self,
         structure: &str,

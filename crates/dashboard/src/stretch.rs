@@ -1,14 +1,15 @@
 //! Selects the frames of a time range from the recording of ingest.
 //!
-//! [`Stretch`] is a pure state machine: it states the next query, and takes the reply. The recording
-//! may have several epochs, each with its own numbers and times of frames. The first query of an epoch
-//! is therefore for one frame. Its number and time give the numbers of the wanted frames. Every query
-//! is for later frames than the one before, whatever the reply contains, so that the queries end.
+//! [`Stretch`] is a pure state machine: it states the next query, and takes the reply. The
+//! recording may have several epochs, each with its own numbers and times of frames. The first
+//! query of an epoch is therefore for one frame. Its number and time give the numbers of the wanted
+//! frames. Every query is for later frames than the one before, whatever the reply contains, so
+//! that the queries end.
 
 use spandrel_bus::{Answer, Block, FrameBlock, QueryRange};
 
-/// Maximum number of samples of all channels in one stretch. An MCAP file of them takes seconds of a
-/// core, and about 80 MB of memory while it is written.
+/// Maximum number of samples of all channels in one stretch. An MCAP file of them takes seconds of
+/// a core, and about 80 MB of memory while it is written.
 pub(crate) const MOST_SAMPLES: usize = 1_000_000;
 /// Number of frames per query. A reply contains fewer if they exceed its maximum size.
 const FRAMES: u64 = 16_384;
@@ -140,8 +141,8 @@ mod tests {
         }
     }
 
-    /// Replies like ingest: with the items of an epoch, or else with the first ones of a later epoch,
-    /// or with the oldest ones of the newest epoch.
+    /// Replies like ingest: with the items of an epoch, or else with the first ones of a later
+    /// epoch, or with the oldest ones of the newest epoch.
     fn reply(recording: &[Epoch], asked: QueryRange) -> Answer<FrameBlock> {
         let at = |epoch: &Epoch, after: u64| {
             let to = epoch.2.min(after + asked.limit);

@@ -228,7 +228,8 @@ fn notices<'s>(store: &'s Store, alert: &AlertMessage) -> Vec<NoticeView<'s>> {
 /// Returns the loss by the newest value, if that is newer than the sentence of the alert.
 ///
 /// A parameter remains normal without a new sentence, so its sentence is as old as its first
-/// decision. The newest value of an unconfirmed alert is no finding, and would contradict its sentence.
+/// decision. The newest value of an unconfirmed alert is no finding, and would contradict its
+/// sentence.
 pub(crate) fn present_loss(store: &Store, message: &AlertMessage) -> Option<String> {
     if message.state == AlertState::Unconfirmed {
         return None;

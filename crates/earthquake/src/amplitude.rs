@@ -7,13 +7,13 @@
 //! - c: scatter of the softening between motions of the same amplitude, which is assumed
 //! - b: softening per decade, d = −b h, with the prior b ~ N(0, σ²)
 //!
-//! The posterior of b is normal with the variance 1/(1/σ² + Σ h²/(v + c²)) and the mean −Σ h d/(v + c²) times this
-//! variance.
+//! The posterior of b is normal with the variance 1/(1/σ² + Σ h²/(v + c²)) and the mean −Σ h d/(v +
+//! c²) times this variance.
 
 use serde::Serialize;
 
-/// σ: standard deviation of the softening per decade (Δ ln k). Half a decade of ln f, as stiffness is
-/// the square of frequency.
+/// σ: standard deviation of the softening per decade (Δ ln k). Half a decade of ln f, as stiffness
+/// is the square of frequency.
 const PRIOR_STD: f64 = 1.0;
 
 /// c: motions of the same amplitude differ in duration and frequency (Δ ln k).

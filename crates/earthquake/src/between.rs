@@ -2,8 +2,8 @@
 //!
 //! Sources: R. DerSimonian and N. Laird, *Meta-analysis in clinical trials*, Controlled Clinical
 //! Trials 7 (1986), 177-188, for τ². J. P. T. Higgins, S. G. Thompson and D. J. Spiegelhalter, *A
-//! re-evaluation of random-effects meta-analysis*, J. R. Statist. Soc. A 172 (2009), 137-159, for the
-//! interval of a further study with K − 2 degrees of freedom. Notation:
+//! re-evaluation of random-effects meta-analysis*, J. R. Statist. Soc. A 172 (2009), 137-159, for
+//! the interval of a further study with K − 2 degrees of freedom. Notation:
 //!
 //! - θᵢ, sᵢ: value of event i and its standard deviation within the record, i = 1 … K
 //! - w = 1/s², Q = Σ w (θ − θ̄)², C = Σw − Σw²/Σw

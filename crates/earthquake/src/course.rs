@@ -158,8 +158,8 @@ impl EventCourse {
         weak_motion(&weak, self.memory)
     }
 
-    /// Returns the stiffness that the structure had regained at the end of the record, from the last
-    /// settling windows.
+    /// Returns the stiffness that the structure had regained at the end of the record, from the
+    /// last settling windows.
     #[must_use]
     pub fn regained(&self) -> Option<WeakMotion> {
         let settling =

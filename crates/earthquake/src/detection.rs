@@ -6,8 +6,8 @@
 //!   spike in one channel is no earthquake.
 //! - The recording of an earthquake begins 30 s (or four windows) before the strong motion. It ends
 //!   when no motion has been strong for three windows, from 20 to 40 s.
-//! - Motion that stays strong, as after a step of a sensor, is recorded up to a limit. Its mean then
-//!   becomes the new offset.
+//! - Motion that stays strong, as after a step of a sensor, is recorded up to a limit. Its mean
+//!   then becomes the new offset.
 //! - Weak motion is recorded again at set times after an earthquake, while there is no strong
 //!   motion. Only weak motion can show a lasting loss.
 //!
@@ -328,8 +328,8 @@ impl Detection {
         self.state.doing = Doing::Watching;
     }
 
-    /// Takes one frame at a time (ns) with its values, `NaN` where one is missing. Returns the largest
-    /// deviation of a channel from its offset.
+    /// Takes one frame at a time (ns) with its values, `NaN` where one is missing. Returns the
+    /// largest deviation of a channel from its offset.
     pub fn push(
         &mut self,
         frame: u64,

@@ -1,8 +1,8 @@
 //! The equivalent-linear stiffness of a whole structure, window by window, from the measured motion
 //! of its ground and of its accelerometers.
 //!
-//! A filter follows slow changes, but cannot follow a stiffness that halves within two periods. This
-//! fit has no memory and no local optimum: it searches all stiffnesses on a grid. One factor c
+//! A filter follows slow changes, but cannot follow a stiffness that halves within two periods.
+//! This fit has no memory and no local optimum: it searches all stiffnesses on a grid. One factor c
 //! multiplies the stiffness of all members, so the mode shapes remain, and all frequencies change
 //! by √c. The fit cannot determine which member has softened.
 //!
@@ -16,10 +16,10 @@
 //! - n: independent samples of a window, two per fundamental period
 //!
 //! z = Σ φΓ q″ with q″ + 2ξω q′ + ω² q = −a. If the variance of the error is unknown and constant
-//! over the window, with the prior 1/σ², the posterior is p(c, d) ∝ S(c, d)^(−n/2) (G. E. P. Box and
-//! G. C. Tiao, *Bayesian Inference in Statistical Analysis*, 1973, section 8.2). The grid contains a
-//! few values of the damping, over which the posterior is summed. Neighbouring sensors share the
-//! error of the model, so that more sensors do not add independent samples.
+//! over the window, with the prior 1/σ², the posterior is p(c, d) ∝ S(c, d)^(−n/2) (G. E. P. Box
+//! and G. C. Tiao, *Bayesian Inference in Statistical Analysis*, 1973, section 8.2). The grid
+//! contains a few values of the damping, over which the posterior is summed. Neighbouring sensors
+//! share the error of the model, so that more sensors do not add independent samples.
 
 use crate::course::CoursePoint;
 use crate::oscillator::{Recurrence, bridged};
@@ -211,8 +211,8 @@ fn sums(windows: &[Window], all: &[f64], of: impl Fn(usize, f64) -> f64) -> Vec<
         .collect()
 }
 
-/// Returns mean and standard deviation of a posterior on the grid. `None` if it reaches the ends, or
-/// if it is too wide.
+/// Returns mean and standard deviation of a posterior on the grid. `None` if it reaches the ends,
+/// or if it is too wide.
 fn moments(posterior: &[f64], at: impl Fn(usize) -> f64) -> Option<(f64, f64)> {
     let whole: f64 = posterior.iter().sum();
     let ends = posterior.first()? + posterior.last()?;

@@ -146,8 +146,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Integrates the oscillator by Runge-Kutta of fourth order in 200 steps per sample, and returns
-    /// the states at the samples. This route shares no formula with the recurrence.
+    /// Integrates the oscillator by Runge-Kutta of fourth order in 200 steps per sample, and
+    /// returns the states at the samples. This route shares no formula with the recurrence.
     fn by_runge_kutta(ground: &[f64], delta: f64, omega: f64, xi: f64) -> Vec<[f64; 2]> {
         const PARTS: u32 = 200;
         let step = delta / f64::from(PARTS);

@@ -209,8 +209,8 @@ mod tests {
         unsettled_s: 0.0,
     };
 
-    /// Noise of 0.001 with a burst of this amplitude between 15 and 21 s, and of a tenth of it until
-    /// 60 s.
+    /// Noise of 0.001 with a burst of this amplitude between 15 and 21 s, and of a tenth of it
+    /// until 60 s.
     fn record(amplitude: f64) -> Vec<f64> {
         (0..9000_u32)
             .map(|i| {

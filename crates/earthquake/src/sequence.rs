@@ -6,8 +6,8 @@
 //! earlier events predict with the variance τ² + se². It is reported, but it is not evidence of
 //! damage.
 //!
-//! A lasting loss since event c compares weak motion only: the events before c with event c after its
-//! shaking and all later ones. Their difference is
+//! A lasting loss since event c compares weak motion only: the events before c with event c after
+//! its shaking and all later ones. Their difference is
 //!
 //! δ = θ̄*(after) − θ̄*(before),  variance se²(after) + se²(before),
 //!
@@ -205,14 +205,14 @@ pub struct EventJudgement {
     pub softening: Option<Softening>,
     /// Weak motion after the shaking. `None` if there was none.
     pub weak: Option<WeakState>,
-    /// Lasting loss since each event that shook or whose weak motion was softer than predicted, this
-    /// one included, in the order of time.
+    /// Lasting loss since each event that shook or whose weak motion was softer than predicted,
+    /// this one included, in the order of time.
     pub lasting: Vec<Candidate>,
 }
 
 impl EventJudgement {
-    /// Returns the number of earlier events with weak motion, from which the weak motion of this one
-    /// is predicted.
+    /// Returns the number of earlier events with weak motion, from which the weak motion of this
+    /// one is predicted.
     #[must_use]
     pub fn earlier(&self) -> usize {
         self.reference.map_or(0, |reference| match reference.kind {
@@ -303,8 +303,8 @@ impl Sequence {
         }
     }
 
-    /// Returns the interval of y in which the events of the present reference expect the weak motion
-    /// of a further event that is known exactly. `None` with fewer than three events.
+    /// Returns the interval of y in which the events of the present reference expect the weak
+    /// motion of a further event that is known exactly. `None` with fewer than three events.
     #[must_use]
     pub fn expected(&self) -> Option<Interval> {
         let earlier = self.values(self.reference_from, self.events.len());

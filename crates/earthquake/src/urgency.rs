@@ -96,8 +96,8 @@ pub fn peak_in(result: &str) -> Option<f64> {
     peak.parse().ok()
 }
 
-/// Returns the position of the report that ranks a structure, in `newest_first`. `None` if no report
-/// is of the two days before `until_s`.
+/// Returns the position of the report that ranks a structure, in `newest_first`. `None` if no
+/// report is of the two days before `until_s`.
 ///
 /// It is the most urgent report of these two days. Of equally urgent ones, it is the one with the
 /// largest acceleration, and then the newest. A weak aftershock must not hide the main shock.

@@ -516,8 +516,8 @@ impl Relation {
     }
 }
 
-/// Returns the share of the variance of the incoherent part that moves the delay, for a scatter of the
-/// delay between records in periods of the fundamental.
+/// Returns the share of the variance of the incoherent part that moves the delay, for a scatter of
+/// the delay between records in periods of the fundamental.
 pub(crate) fn delay_share(scatter: f64) -> f64 {
     if scatter < NOISE_BELOW {
         NOISE_SHARE

@@ -32,8 +32,8 @@ const SCATTER_HALF_LIFE: f64 = 24.0;
 /// Distance from the reference, in standard deviations of the scatter, from which a channel
 /// drifts.
 ///
-/// 24 sound records of two structures reach 11.4, at the start of the strongest earthquake. A steady
-/// drift causes its own scatter, and reaches 18 after 13 means.
+/// 24 sound records of two structures reach 11.4, at the start of the strongest earthquake. A
+/// steady drift causes its own scatter, and reaches 18 after 13 means.
 const DRIFTS: f64 = 18.0;
 
 /// Distance below which a drifting channel counts as sound again.

@@ -1,13 +1,13 @@
 //! Exchanged channels: the amplitude of each channel in bands around the first natural frequency.
 //!
-//! Far below the first natural frequency, all channels measure the same motion. Around it and above,
-//! each place has its own amplitude. Records of sound sensors show this profile. Two exchanged
-//! channels have the profile of each other.
+//! Far below the first natural frequency, all channels measure the same motion. Around it and
+//! above, each place has its own amplitude. Records of sound sensors show this profile. Two
+//! exchanged channels have the profile of each other.
 //!
 //! A loss of stiffness changes the profile as well, but not to that of an exchange in all bands at
 //! once. An exchange is therefore only stated if the exchanged channels, and all others, agree with
-//! the records. A factor moves all bands of one channel by the same amount. An exchange must therefore
-//! also be more probable than a factor.
+//! the records. A factor moves all bands of one channel by the same amount. An exchange must
+//! therefore also be more probable than a factor.
 
 use serde::{Deserialize, Serialize};
 

@@ -40,8 +40,9 @@ impl SensorReference {
     /// Combines records with the usual scatter, which counts as half a record. There must be at
     /// least one record.
     ///
-    /// `of_group_s` is the result of [`delay_scatter_s`]. It limits the scatter of the delay, because
-    /// half a record of the usual scatter can be larger than all that the records have shown.
+    /// `of_group_s` is the result of [`delay_scatter_s`]. It limits the scatter of the delay,
+    /// because half a record of the usual scatter can be larger than all that the records have
+    /// shown.
     pub(crate) fn of(
         channel: &str,
         records: &[ObservedRelation],
@@ -108,8 +109,8 @@ const LEAST_DELAY_STD: f64 = 0.003;
 /// Returns an upper bound of the standard deviation of a delay between records (s), from the delays
 /// of all channels of a group in the records. `None` if no channel has two records.
 ///
-/// The channels are assumed to have a common scatter σ. Their sum of squares divided by σ² then has a
-/// χ² distribution. Its degrees of freedom are those of the records times those of the channels,
+/// The channels are assumed to have a common scatter σ. Their sum of squares divided by σ² then has
+/// a χ² distribution. Its degrees of freedom are those of the records times those of the channels,
 /// because each channel is compared with the mean of the others. The bound holds with a probability
 /// of 95 %.
 pub(crate) fn delay_scatter_s(of_channels: &[Vec<f64>], period_s: f64) -> Option<f64> {
@@ -177,8 +178,8 @@ mod tests {
     fn scatter_of_delays_is_that_of_all_channels_with_an_upper_bound() {
         let (early, late) = (vec![0.001, 0.003, 0.002], vec![-0.001, -0.003, -0.002]);
         let channels = [early.clone(), late.clone(), early, late, vec![0.5]];
-        // Each channel has the sum of squares 2e-6 s². 4 channels with 2 degrees of freedom, each of
-        // them 4/5, are 6.4: √(8e-6/1.82) = 2.1 ms, with the quantile 1.82 of the distribution.
+        // Each channel has the sum of squares 2e-6 s². 4 channels with 2 degrees of freedom, each
+        // of them 4/5, are 6.4: √(8e-6/1.82) = 2.1 ms, with the quantile 1.82 of the distribution.
         let found_s = delay_scatter_s(&channels, 0.1).unwrap();
         assert!((found_s - 0.0021).abs() < 1e-4, "{found_s}");
         // A period of 1 s: the least scatter is 3 ms.

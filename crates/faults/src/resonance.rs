@@ -233,8 +233,8 @@ mod tests {
         Complex::new(1.0, damping) / Complex::new(1.0 - ratio * ratio, damping)
     }
 
-    /// Returns the likelihoods that 200 s of an oscillator of another frequency give. The motions of
-    /// the ground and of the oscillator are multiplied by `factors`.
+    /// Returns the likelihoods that 200 s of an oscillator of another frequency give. The motions
+    /// of the ground and of the oscillator are multiplied by `factors`.
     fn likelihoods(frequency_hz: f64, factors: [f64; 2]) -> Vec<Option<OfScales>> {
         const RATE_HZ: f64 = 20.0;
         const SUBSTEPS: usize = 50;

@@ -41,7 +41,8 @@ const FAULTY_AFTER: u32 = 2;
 /// Number of successive comparisons that make a faulty channel sound.
 const SOUND_AFTER: u32 = 2 * OVERLAP as u32;
 
-/// Number of successive windows that show an exchange. The last one shares no sample with the first.
+/// Number of successive windows that show an exchange. The last one shares no sample with the
+/// first.
 const EXCHANGED_AFTER: u32 = OVERLAP as u32 + 1;
 
 /// Half-life of the band powers in windows.
@@ -51,8 +52,8 @@ const PROFILE_HALF_LIFE: f64 = 6.0;
 /// power.
 const LARGEST_GROUP: usize = 24;
 
-/// Ratio of the power of a channel to its stated noise from which it measures some motion. The others
-/// must then measure it as well.
+/// Ratio of the power of a channel to its stated noise from which it measures some motion. The
+/// others must then measure it as well.
 const LOUD: f64 = 4.0;
 
 /// Minimum power at which a motion below the stated noise is compared: as a ratio to the power of
@@ -290,8 +291,8 @@ impl SensorCheck {
     /// The result omits channels that no record has observed. It is empty if there are no records.
     ///
     /// The scatter between the records is pooled with the usual scatter, which has the weight of
-    /// half a record. The scatter of the delays is limited by an upper bound of what all channels of
-    /// the same motion have shown in the records.
+    /// half a record. The scatter of the delays is limited by an upper bound of what all channels
+    /// of the same motion have shown in the records.
     ///
     /// # Panics
     /// Panics if `names` does not contain a name for an observed channel.
@@ -427,8 +428,8 @@ impl SensorCheckState {
                     }
                 }
             }
-            // The ground belongs to all groups of a motion. The first one judges it with the results
-            // of all of them. Otherwise, their judgements would alternate.
+            // The ground belongs to all groups of a motion. The first one judges it with the
+            // results of all of them. Otherwise, their judgements would alternate.
             let has_ground = |other: &&Shown| other.ground() == own.ground();
             let (earlier, present) = shown.split_at(number);
             if !earlier.iter().any(|other| has_ground(&other)) {
@@ -705,9 +706,9 @@ impl Group {
 
     /// Returns `true` if the motion of a window is large enough for a comparison.
     ///
-    /// Motion below the stated noise of half of the channels must stand out from the quietest window,
-    /// and must not be much smaller than that in `memory`. The channel with the largest motion counts,
-    /// because the others can be dead.
+    /// Motion below the stated noise of half of the channels must stand out from the quietest
+    /// window, and must not be much smaller than that in `memory`. The channel with the largest
+    /// motion counts, because the others can be dead.
     fn shows_motion(&self, window: &Coefficients, memory: &Memory, quietest: &mut f64) -> bool {
         let of_ground = |member: usize| self.rigid[member].powi(2).recip();
         let (mut motion, mut noises) = (0.0_f64, Vec::new());
@@ -730,8 +731,8 @@ impl Group {
             || (motion > AGAINST_EARLIER * earlier && motion > AGAINST_QUIET * *quietest)
     }
 
-    /// Returns `true` if a channel measures much more than its stated noise, and there are others to
-    /// measure it as well.
+    /// Returns `true` if a channel measures much more than its stated noise, and there are others
+    /// to measure it as well.
     fn is_loud(&self, memory: &Memory) -> bool {
         if memory.present().iter().filter(|present| **present).count() < 2 {
             return false;

@@ -1,5 +1,5 @@
-//! Fourier coefficients of the low band and of the resonances over overlapping windows, one sample at
-//! a time.
+//! Fourier coefficients of the low band and of the resonances over overlapping windows, one sample
+//! at a time.
 
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
@@ -271,8 +271,8 @@ impl Coefficients {
     }
 
     /// Returns one series per channel, of a window that contains two. These are the channels of the
-    /// first half and their alternatives in the second half. The one that follows the other channels
-    /// better is taken.
+    /// first half and their alternatives in the second half. The one that follows the other
+    /// channels better is taken.
     pub(crate) fn most_coherent(mut self) -> Self {
         let alternatives = self.of_channels.split_off(self.of_channels.len() / 2);
         let with_others = |channel: usize, bins: &[Complex<f64>]| -> f64 {

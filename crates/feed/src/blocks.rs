@@ -53,7 +53,8 @@ impl Blocks {
     /// Adds rows, and appends complete blocks to `blocks`.
     pub(crate) fn push(&mut self, rows: Vec<Row>, blocks: &mut Vec<SampleBlock>) {
         for row in rows {
-            // Times with jitter may overlap the previous packet. Ingest requires that they increase.
+            // Times with jitter may overlap the previous packet. Ingest requires that they
+            // increase.
             let least_ns = self
                 .last_ns
                 .map(|last_ns| last_ns.saturating_add((0.5 * self.step_ns) as i64));

@@ -63,7 +63,8 @@ impl ConditionFeed {
         let step_ns = match packet.rate_hz {
             Some(rate_hz) if rate_hz > MAX_RATE_HZ => {
                 return Err(format!(
-                    "{label}: sampling rate is {rate_hz} Hz, must be at most {MAX_RATE_HZ} Hz for a condition"
+                    "{label}: sampling rate is {rate_hz} Hz, must be at most {MAX_RATE_HZ} Hz for \
+                     a condition"
                 ));
             }
             Some(rate_hz) => 1e9 / rate_hz,

@@ -55,8 +55,8 @@ pub struct TimeField {
 }
 
 /// What a field with a time may contain.
-const TIME: &str = "must be an ISO 8601 time, or a number that is a time between the years 1678 and 2262 in \
-     the unit `time-unit`";
+const TIME: &str = "must be an ISO 8601 time, or a number that is a time between the years 1678 \
+                    and 2262 in the unit `time-unit`";
 
 /// An error in a line.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -146,8 +146,8 @@ impl NodeFeed {
         self.rows.time_after(time_ns, steps)
     }
 
-    /// Records the quality of the times that the source of a channel states, per cent. The blocks of
-    /// the node have the lowest quality of its channels.
+    /// Records the quality of the times that the source of a channel states, per cent. The blocks
+    /// of the node have the lowest quality of its channels.
     ///
     /// Many programs write 0 if they do not know the quality. 0 therefore counts only for a channel
     /// whose source has stated another quality before.

@@ -219,8 +219,8 @@ impl GrowingFile {
         match self.is_pattern() {
             true => format!("no file matches {path}"),
             false if self.path.exists() => format!(
-                "{path} is not a file; kind = \"stdin\" reads a serial port, and kind = \"folder\" a \
-                 folder"
+                "{path} is not a file; kind = \"stdin\" reads a serial port, and kind \
+                 = \"folder\" a folder"
             ),
             false => format!("{path} does not exist"),
         }

@@ -142,7 +142,8 @@ fn main() -> Result<(), FilterError> {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let mut squares = [0.0; 3];
     println!(
-        "time s   position error m   its std m   velocity error m/s   its std m/s   noise of a position m"
+        "time s   position error m   its std m   velocity error m/s   its std m/s   noise of a \
+         position m"
     );
     for second in 1..=SECONDS {
         let (position, velocity) = truth(second as f64);

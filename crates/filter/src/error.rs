@@ -53,7 +53,8 @@ pub enum FilterError {
     },
     /// A linear system has no stationary filter, or the given filter is not stable.
     #[error(
-        "no stationary filter: a mode is neither damped nor observed, or the gain does not make the error decay"
+        "no stationary filter: a mode is neither damped nor observed, or the gain does not make \
+         the error decay"
     )]
     NoStationaryFilter,
     /// A variance is negative by more than the rounding error. The filter must be restarted.

@@ -248,9 +248,9 @@ impl MisfitState {
     /// Returns the published variance that parameter `j` would have if the filter had always learnt
     /// as much per step as in the last half-life.
     ///
-    /// A steady information of `j` per step gives `J = j/ln λ`, and a published variance of `1/(2J)`
-    /// times the ratio of misfit. Returns infinity if nothing was learnt, and `None` in the first
-    /// eighth of a half-life and without fading.
+    /// A steady information of `j` per step gives `J = j/ln λ`, and a published variance of
+    /// `1/(2J)` times the ratio of misfit. Returns infinity if nothing was learnt, and `None` in
+    /// the first eighth of a half-life and without fading.
     #[must_use]
     pub fn sustained_variance(&self, j: usize, fading: FadingFactor) -> Option<f64> {
         let parameter = &self.parameters[j];
@@ -374,8 +374,8 @@ impl MisfitState {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Memory {
     pub(crate) fading: FadingFactor,
-    /// `false` if the covariance has not faded: [`Workspace::unlearn`] has taken the step back, or the
-    /// motion was reset and not predicted.
+    /// `false` if the covariance has not faded: [`Workspace::unlearn`] has taken the step back, or
+    /// the motion was reset and not predicted.
     pub(crate) fades: bool,
 }
 
@@ -466,8 +466,8 @@ impl Workspace {
     /// Undoes the corrections and the fading of the parameters, because this step contains no
     /// information about them.
     ///
-    /// If the memory faded while the structure is at rest, the first weak motion after it would move
-    /// the parameters freely.
+    /// If the memory faded while the structure is at rest, the first weak motion after it would
+    /// move the parameters freely.
     pub(crate) fn unlearn(
         &mut self,
         fading: FadingFactor,

@@ -12,9 +12,9 @@
 //! - If a channel rejects samples for long, its scale may be too small, and it is estimated again.
 //!   Otherwise, the sensor is faulty. Its samples are ignored until the residuals agree with the
 //!   model again.
-//! - If several sensors reject samples at the same time, the structure or its motion has changed and
-//!   not the sensors. The screening pauses, and rejects only samples far beyond the latest residuals.
-//!   If most channels reject samples for long, all their scales are estimated again.
+//! - If several sensors reject samples at the same time, the structure or its motion has changed
+//!   and not the sensors. The screening pauses, and rejects only samples far beyond the latest
+//!   residuals. If most channels reject samples for long, all their scales are estimated again.
 
 mod common;
 mod probability;
@@ -301,8 +301,8 @@ impl ChannelScreen {
         self.recent.forgive();
     }
 
-    /// Classifies the last residual during a common change, whose residuals grow within a fraction of
-    /// a period: only a sample far beyond the latest residuals is an outlier.
+    /// Classifies the last residual during a common change, whose residuals grow within a fraction
+    /// of a period: only a sample far beyond the latest residuals is an outlier.
     fn screen_coarsely(
         &self,
         settings: &OutlierSettings,
@@ -400,8 +400,9 @@ impl OutlierState {
         })
     }
 
-    /// Restarts the training of all channels that are not faulty, because residuals are large for some
-    /// time after a reset of the motion. Only its own samples can make a faulty channel sound again.
+    /// Restarts the training of all channels that are not faulty, because residuals are large for
+    /// some time after a reset of the motion. Only its own samples can make a faulty channel sound
+    /// again.
     pub(crate) fn retrain(&mut self) {
         let sound = self.channels.iter_mut().filter(|channel| !channel.faulty);
         sound.for_each(ChannelScreen::retrain);
@@ -426,9 +427,9 @@ impl OutlierState {
 
     /// Screens the residuals (N_0) of one step and sets those that must not be used to NaN.
     ///
-    /// `variances` is the diagonal of the filter's own `S` (N_0). `follows_jump` is `true` while the
-    /// filter follows a jump of the parameters. `sorted` is scratch space. Returns the number of
-    /// rejected residuals.
+    /// `variances` is the diagonal of the filter's own `S` (N_0). `follows_jump` is `true` while
+    /// the filter follows a jump of the parameters. `sorted` is scratch space. Returns the number
+    /// of rejected residuals.
     pub(crate) fn screen(
         &mut self,
         settings: &OutlierSettings,
@@ -515,8 +516,8 @@ impl OutlierState {
             .filter(|channel| suspicious(channel))
             .count();
         let motion_changed = self.channels.len() > 2 && 2 * count > self.channels.len();
-        // After a reset of the motion, everything agrees with a prediction that knows nothing. A silent
-        // channel does not train.
+        // After a reset of the motion, everything agrees with a prediction that knows nothing. A
+        // silent channel does not train.
         let sound = || self.channels.iter().filter(|channel| !channel.faulty);
         let mut delivering = sound()
             .filter(|channel| channel.recent.taken() > 0)

@@ -727,7 +727,8 @@ fn linear_gaussian_system_gives_the_kalman_filter_and_its_evidence() {
                 };
                 let check = linear_check(seed, settings);
                 println!(
-                    "seed {seed}, {resampling:?}, {density:?}, N = {particles}: error {:.3}, ratio {:.3}, evidence {:+.2}",
+                    "seed {seed}, {resampling:?}, {density:?}, N = {particles}: error {:.3}, \
+                     ratio {:.3}, evidence {:+.2}",
                     check.error,
                     check.ratio,
                     check.log_evidence - check.exact_log_evidence

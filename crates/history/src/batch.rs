@@ -14,8 +14,8 @@ pub(crate) const RESOLUTIONS_S: [i64; 3] = [60, 3_600, 86_400];
 const OTHER_SERIES: usize = 256;
 
 const SECOND_NS: i64 = 1_000_000_000;
-/// Largest time by which a condition may be ahead of the clock (ns). A value with a later time would
-/// keep all others out, because values must be newer than the newest stored one.
+/// Largest time by which a condition may be ahead of the clock (ns). A value with a later time
+/// would keep all others out, because values must be newer than the newest stored one.
 const MAX_AHEAD_NS: i64 = 60 * SECOND_NS;
 
 /// The kind of quantity of a series.

@@ -64,7 +64,8 @@ impl Database {
         })
     }
 
-    /// Opens the database if it is not open, and migrates the tables to the version of this program.
+    /// Opens the database if it is not open, and migrates the tables to the version of this
+    /// program.
     pub(crate) async fn ready(&self) -> Result<(), HistoryError> {
         self.pool().await.map(drop)
     }
@@ -182,7 +183,8 @@ impl Database {
         self.set_aside.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of values of conditions and modes that were not newer than those in the database.
+    /// Returns the number of values of conditions and modes that were not newer than those in the
+    /// database.
     pub(crate) fn repeated(&self) -> u64 {
         self.repeated.load(Ordering::Relaxed)
     }
@@ -240,7 +242,8 @@ impl Database {
         let mut kept = Vec::new();
         kept.extend(points_from.map(|from_ns| (DISPLAY_NS, from_ns, None)));
         for resolution_s in RESOLUTIONS_S {
-            let statement = "SELECT first_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s LIMIT 1";
+            let statement = "SELECT first_ns FROM bucket WHERE series = $1 AND resolution_s = $2 \
+                             ORDER BY start_s LIMIT 1";
             let first_ns = first(sqlx::query(statement).bind(id).bind(resolution_s), pool).await?;
             kept.extend(
                 first_ns.map(|first_ns| (resolution_s * SECOND_NS, first_ns, Some(resolution_s))),
@@ -284,7 +287,8 @@ impl Database {
 
     /// Returns the time of the newest value of a series (ns).
     async fn newest_ns(&self, pool: &AnyPool, id: i64) -> Result<Option<i64>, sqlx::Error> {
-        let statement = "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER BY start_s DESC LIMIT 1";
+        let statement = "SELECT last_ns FROM bucket WHERE series = $1 AND resolution_s = $2 ORDER \
+                         BY start_s DESC LIMIT 1";
         first(
             sqlx::query(statement)
                 .bind(id)
@@ -301,7 +305,8 @@ impl Database {
         query: &SpanQuery,
     ) -> Result<Vec<Sums>, sqlx::Error> {
         let statement = "SELECT time_ns, mean, std, probability FROM point \
-                         WHERE series = $1 AND time_ns >= $2 AND time_ns <= $3 ORDER BY time_ns LIMIT $4";
+                         WHERE series = $1 AND time_ns >= $2 AND time_ns <= $3 ORDER BY time_ns \
+                         LIMIT $4";
         let found = sqlx::query(statement)
             .bind(id)
             .bind(query.from_ns)
@@ -325,9 +330,10 @@ impl Database {
         resolution_s: i64,
         query: &SpanQuery,
     ) -> Result<Vec<Sums>, sqlx::Error> {
-        let statement = "SELECT first_ns, last_ns, count, mean_sum, square_sum, variance_sum, least, largest, low, high, probability \
-                         FROM bucket WHERE series = $1 AND resolution_s = $2 AND start_s > $3 AND start_s <= $4 \
-                         ORDER BY start_s LIMIT $5";
+        let statement = "SELECT first_ns, last_ns, count, mean_sum, square_sum, variance_sum, \
+                         least, largest, low, high, probability FROM bucket WHERE series = $1 AND \
+                         resolution_s = $2 AND start_s > $3 AND start_s <= $4 ORDER BY start_s \
+                         LIMIT $5";
         let found = sqlx::query(statement)
             .bind(id)
             .bind(resolution_s)
@@ -363,8 +369,8 @@ impl Database {
         query: &SpanQuery,
     ) -> Result<HistoryLog, HistoryError> {
         let pool = self.pool().await?;
-        let statement = "SELECT kind, message FROM happened WHERE structure = $1 AND time_ns >= $2 AND time_ns <= $3 \
-                         ORDER BY time_ns DESC LIMIT $4";
+        let statement = "SELECT kind, message FROM happened WHERE structure = $1 AND time_ns >= \
+                         $2 AND time_ns <= $3 ORDER BY time_ns DESC LIMIT $4";
         let found = sqlx::query(statement)
             .bind(structure.to_owned())
             .bind(query.from_ns)

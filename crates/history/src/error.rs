@@ -14,7 +14,8 @@ const SQLITE_NOTADB: u32 = 26;
 pub enum HistoryError {
     /// The address of the database is not supported.
     #[error(
-        "history.database is {found:?}, must be a file, sqlite:FILE, postgres://USER@HOST/DATABASE or none"
+        "history.database is {found:?}, must be a file, sqlite:FILE, \
+         postgres://USER@HOST/DATABASE or none"
     )]
     Address {
         /// The configured value, without a password.

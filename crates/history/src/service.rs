@@ -182,7 +182,8 @@ impl HistoryService {
                 service.listen(monitored, instance).await?;
             }
             if address.believes_the_network() {
-                warn!(database = %address, "the identity of the database server is not verified; set sslmode=verify-full to verify it");
+                warn!(database = %address, "the identity of the database server is not verified; \
+                                            set sslmode=verify-full to verify it");
             }
             info!(database = %address, structures = structures.len(), "history ready");
             Ok(service)
@@ -462,7 +463,8 @@ async fn share_panic_of<T>(tasks: &mut JoinSet<()>) -> T {
 async fn forget_old(database: Database, newest: Vec<(String, i64)>, keep: Keep) {
     for (structure, newest_ns) in newest {
         if let Err(error) = database.prune(&structure, newest_ns, &keep).await {
-            warn!(structure, %error, reason = error.reason(), "cannot remove old values from the history");
+            warn!(structure, %error, reason = error.reason(), "cannot remove old values from the \
+                                                               history");
         }
     }
 }

@@ -28,7 +28,8 @@ pub enum IdentifyError {
     },
     /// The nodes do not run their own identification, or there is no such node.
     #[error(
-        "structure {structure} has no such node with its own identification; see identification = \"distributed\""
+        "structure {structure} has no such node with its own identification; see identification \
+         = \"distributed\""
     )]
     NotDistributed {
         /// Name of the structure.

@@ -339,8 +339,8 @@ impl Estimator {
         }
     }
 
-    /// Returns a copy of a single filter that continues from `state`. `None` for other estimators, and
-    /// for a state that does not belong to the filter.
+    /// Returns a copy of a single filter that continues from `state`. `None` for other estimators,
+    /// and for a state that does not belong to the filter.
     pub(crate) fn resumed(&self, state: &EstimatorState) -> Option<Self> {
         let (Self::Filter(filter), EstimatorState::Filter(state)) = (self, state) else {
             return None;

@@ -716,7 +716,8 @@ impl Identification {
         if must_restart {
             outputs.push(self.restart(
                 time_ns,
-                "the data have contradicted the model for long, and a parameter is at its bound or far outside its prior",
+                "the data have contradicted the model for long, and a parameter is at its bound \
+                 or far outside its prior",
             ));
         }
         must_restart

@@ -191,8 +191,8 @@ impl NodeService {
         Box::pin(async move {
             let mut status = tokio::time::interval(STATUS_EVERY);
             let answers = self.feedback.messages().clone();
-            // The estimate whose feedback the samples await, and the end of the wait. It outlasts the
-            // turns of the loop, because the status ends one every second.
+            // The estimate whose feedback the samples await, and the end of the wait. It outlasts
+            // the turns of the loop, because the status ends one every second.
             let mut wait: Option<(u64, Instant)> = None;
             loop {
                 let awaited = self.core.as_ref().and_then(NodeIdentification::awaits);

@@ -1,9 +1,9 @@
 //! Builds frames from the samples of many nodes, without a clock or network.
 //!
 //! Frame k is at t0 + round(k·10⁹/rate) ns, where t0 is the earliest first sample of the nodes. A
-//! sample goes to the nearest frame within the tolerance. If it is taken at another instant than its
-//! frame, the value at the frame is interpolated from the neighbouring samples of the node. If two
-//! samples of a node fall into one frame, the first one counts.
+//! sample goes to the nearest frame within the tolerance. If it is taken at another instant than
+//! its frame, the value at the frame is interpolated from the neighbouring samples of the node. If
+//! two samples of a node fall into one frame, the first one counts.
 //!
 //! A frame closes when its deadline has passed, or when no node can still contribute. A node cannot
 //! contribute if it has delivered the frame with the neighbours that the interpolation needs, or a
@@ -32,12 +32,12 @@ const LONGEST_HOLE: i64 = 100_000;
 const LONGEST_LAG_NS: i64 = 2_000_000_000;
 
 /// Longest gap, ns, that is filled with empty frames although the node that frames wait for may
-/// still deliver. After a longer gap, frames wait as long again for it. If at most half of the nodes
-/// continue after the gap, a new run starts.
+/// still deliver. After a longer gap, frames wait as long again for it. If at most half of the
+/// nodes continue after the gap, a new run starts.
 const LONGEST_LONE_HOLE_NS: i64 = 10_000_000_000;
 
-/// Span of samples from the past, ns, after which a node begins a new run if the other nodes deliver
-/// nothing.
+/// Span of samples from the past, ns, after which a node begins a new run if the other nodes
+/// deliver nothing.
 const GONE_BACK_NS: i64 = 500_000_000;
 
 /// Number of deadlines for which the other nodes must deliver nothing. The shell sets one every
@@ -65,8 +65,8 @@ pub enum AlignmentInput {
         /// Index of the node.
         node: usize,
     },
-    /// The clock of a node differs from that of the majority. Its samples are dropped, and frames do
-    /// not wait for it.
+    /// The clock of a node differs from that of the majority. Its samples are dropped, and frames
+    /// do not wait for it.
     ClockWrong {
         /// Index of the node.
         node: usize,
@@ -194,9 +194,9 @@ impl Alignment {
 
     /// Begins a new run after a recorded state, in the epoch of [`Alignment::new`].
     ///
-    /// Frames after the recorded ones may have been published, so that their numbers must not be used
-    /// again. The arguments are those of [`Alignment::going_on`]. Recorded samples do not become part
-    /// of a second frame.
+    /// Frames after the recorded ones may have been published, so that their numbers must not be
+    /// used again. The arguments are those of [`Alignment::going_on`]. Recorded samples do not
+    /// become part of a second frame.
     #[must_use]
     pub fn beginning_after(self, last: &FrameBlock, nodes: &[NodePlace]) -> Self {
         let epoch = self.epoch;

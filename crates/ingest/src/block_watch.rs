@@ -28,8 +28,8 @@ pub(crate) struct BlockReport {
 }
 
 impl BlockWatch {
-    /// Creates the watch for `nodes` nodes. Without a rejected block for `over_after`, the blocks of
-    /// a node are read again. This time must exceed the interval between two readings.
+    /// Creates the watch for `nodes` nodes. Without a rejected block for `over_after`, the blocks
+    /// of a node are read again. This time must exceed the interval between two readings.
     pub(crate) fn new(nodes: usize, over_after: Duration) -> Self {
         Self {
             nodes: (0..nodes).map(|_| Node::default()).collect(),

@@ -1,9 +1,9 @@
 //! Finds clocks that move against those of the other nodes, by a jump or a drift.
 //!
 //! The [vote](crate::clock_vote) excludes a node whose clock differs by seconds, and reports it. A
-//! smaller difference leaves its samples in the frames, at wrong times, where it looks like a delay of
-//! the sensor. The offset of a node is the time of its newest sample minus a monotonic clock at its
-//! arrival. The largest offset within a window has the least delay.
+//! smaller difference leaves its samples in the frames, at wrong times, where it looks like a delay
+//! of the sensor. The offset of a node is the time of its newest sample minus a monotonic clock at
+//! its arrival. The largest offset within a window has the least delay.
 
 use std::time::Duration;
 

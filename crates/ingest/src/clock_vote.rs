@@ -6,11 +6,13 @@
 //!
 //! More than half of the votes, and at least two, decide. They must agree within a limit. Their
 //! decision remains in force as long as one node supports it. A node whose clock jumps, or that
-//! restarts first after a power cut, therefore cannot change it alone. If more than half of the nodes
-//! are ahead of the decision together, all of them were late when they voted, and it moves at once.
+//! restarts first after a power cut, therefore cannot change it alone. If more than half of the
+//! nodes are ahead of the decision together, all of them were late when they voted, and it moves at
+//! once.
 //!
-//! If the largest groups of at least two nodes are equally large, the one that agrees with the clock of
-//! the machine decides. Otherwise, the group that was there first would keep the correct half out.
+//! If the largest groups of at least two nodes are equally large, the one that agrees with the
+//! clock of the machine decides. Otherwise, the group that was there first would keep the correct
+//! half out.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -116,8 +118,8 @@ impl Voter {
 
     /// Compares the clock with that of the majority.
     ///
-    /// No delay moves a clock ahead, so the first sample that jumps ahead is wrong. A node that comes
-    /// ahead without a jump may be the first of late nodes that catch up, and is judged after
+    /// No delay moves a clock ahead, so the first sample that jumps ahead is wrong. A node that
+    /// comes ahead without a jump may be the first of late nodes that catch up, and is judged after
     /// [`CAUGHT_UP_WITHIN`]. A node that is behind may be late, and is judged after it has been
     /// steadily behind.
     fn compare(&mut self, majority_ns: Option<i64>, limit_ns: i64, now: Duration) {
@@ -208,8 +210,8 @@ impl ClockVote {
         }
     }
 
-    /// Replaces the votes of the nodes that are ahead of the majority and agree, if they are more than
-    /// half of the nodes. Returns `true` if they are.
+    /// Replaces the votes of the nodes that are ahead of the majority and agree, if they are more
+    /// than half of the nodes. Returns `true` if they are.
     ///
     /// No delay moves a clock ahead. The votes came from a time in which all nodes were late.
     fn move_ahead(&mut self, now: Duration) -> bool {

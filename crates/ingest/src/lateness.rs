@@ -45,8 +45,8 @@ impl Lateness {
         }
     }
 
-    /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a reading
-    /// of any monotonic clock.
+    /// Records the arrival of a live sample with measurement time `time_ns` (ns). `now` is a
+    /// reading of any monotonic clock.
     pub fn arrived(&mut self, node: usize, time_ns: i64, now: Duration) {
         if let Some(arrivals) = self.nodes.get_mut(node) {
             arrivals.recent.push_back((now, time_ns));

@@ -129,8 +129,8 @@ impl NodeQueue {
         }
     }
 
-    /// Drops the parked blocks that are more than [`PARKED_LIVE_NS`] older than `newest`, and counts
-    /// their samples as late.
+    /// Drops the parked blocks that are more than [`PARKED_LIVE_NS`] older than `newest`, and
+    /// counts their samples as late.
     pub(crate) fn drop_old_parked(&mut self, newest: &SampleBlock) {
         let is_old = |parked: &mut SampleBlock| {
             parked.header.time_ns.saturating_add(PARKED_LIVE_NS) < newest.header.time_ns

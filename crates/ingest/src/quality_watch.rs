@@ -2,8 +2,8 @@
 
 /// Quality below which the clock of a node is reported, per cent.
 ///
-/// The manuals leave the scale to the manufacturer. Usually, 100 per cent is a clock with the stated
-/// accuracy. The value falls while a clock has no reference such as GPS.
+/// The manuals leave the scale to the manufacturer. Usually, 100 per cent is a clock with the
+/// stated accuracy. The value falls while a clock has no reference such as GPS.
 const LOW_BELOW: u8 = 50;
 /// Quality from which a clock can be reported again, per cent. A quality that varies around
 /// [`LOW_BELOW`] is reported once.

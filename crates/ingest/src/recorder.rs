@@ -116,8 +116,8 @@ impl Recorder {
             Ok(opened) => Some(opened),
             Err(error) if may_be_opened_later(&error) => {
                 failure = with_cause(&error);
-                warn!(structure, %error, "the recording cannot be opened; frames stay in memory and \
-                    monitoring continues");
+                warn!(structure, %error, "the recording cannot be opened; frames stay in memory \
+                                          and monitoring continues");
                 None
             }
             Err(error) => return Err(error.into()),
@@ -625,7 +625,8 @@ mod tests {
         }
     }
 
-    /// Regression: the folder counted as back when it was opened, although no frame could be written.
+    /// Regression: the folder counted as back when it was opened, although no frame could be
+    /// written.
     #[tokio::test(flavor = "multi_thread")]
     async fn folder_is_back_after_the_first_frame() {
         let folder = tempfile::tempdir().unwrap();

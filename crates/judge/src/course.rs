@@ -155,7 +155,8 @@ impl Commissioning {
             let missing = missing.clone();
             return Err(absence.unwrap_or(State::NotReady { missing }));
         }
-        // The oldest days are dropped, so that the state is bounded and a commissioning can recover.
+        // The oldest days are dropped, so that the state is bounded and a commissioning can
+        // recover.
         let oldest = frame.day - i64::from(Settings::COMMISSIONING_RANGE.1);
         self.days.retain(|day| day.number > oldest);
         let seed = frame.index as u64;
@@ -237,9 +238,9 @@ impl Judging {
 
     /// Guarded learning: a lasting loss is learnt slowly.
     ///
-    /// Forgetting coefficients and frost are learnt without a guard, because the end of a frost must
-    /// not look like a loss. Other new conditions have a wider guard. They explain a residual of some
-    /// standard deviations, but not a loss that happens on such a day.
+    /// Forgetting coefficients and frost are learnt without a guard, because the end of a frost
+    /// must not look like a loss. Other new conditions have a wider guard. They explain a residual
+    /// of some standard deviations, but not a loss that happens on such a day.
     fn learn(&mut self, row: &Row, learnt: Learnt) {
         let Reference {
             columns,
@@ -332,8 +333,8 @@ impl Judging {
         known
     }
 
-    /// Returns `true` if a gain leads beyond the commissioning. Otherwise a loss that was learnt has come
-    /// back, at most.
+    /// Returns `true` if a gain leads beyond the commissioning. Otherwise a loss that was learnt
+    /// has come back, at most.
     fn exceeds_reference(&self) -> bool {
         let Reference {
             conditions,

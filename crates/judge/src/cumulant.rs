@@ -1,9 +1,9 @@
 //! Cumulant generating function of the residuals.
 //!
-//! An e-detector needs increments L with E[L | past] ≤ 1 while the structure is sound. The increment
-//! exp(g z − κ(g)) meets this if κ(g) ≥ ln E[exp(g z)]. κ(g) is the larger of two values: g²/2, which
-//! is that of a normal residual, and that of the clipped residuals of the commissioning. The latter
-//! are mirrored, because their sign carries no information.
+//! An e-detector needs increments L with E[L | past] ≤ 1 while the structure is sound. The
+//! increment exp(g z − κ(g)) meets this if κ(g) ≥ ln E[exp(g z)]. κ(g) is the larger of two values:
+//! g²/2, which is that of a normal residual, and that of the clipped residuals of the
+//! commissioning. The latter are mirrored, because their sign carries no information.
 //!
 //! Source: Shin, Ramdas & Rinaldo (2024), New England Journal of Statistics in Data Science,
 //! on e-detectors; κ takes the place of their ψ.

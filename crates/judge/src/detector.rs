@@ -79,16 +79,17 @@ pub(crate) struct StepEstimate {
 }
 
 impl StepEstimate {
-    /// Returns the standard deviation of the size on a day. A deviation that began with the step cannot
-    /// be distinguished from it.
+    /// Returns the standard deviation of the size on a day. A deviation that began with the step
+    /// cannot be distinguished from it.
     pub(crate) fn std_with(self, deviation: Deviation, day: i64) -> f64 {
         self.std.hypot(deviation.of_mean(day - self.day + 1))
     }
 
-    /// Returns `true` if the step is large enough to be raised on a day. `unit` is that of the detector.
+    /// Returns `true` if the step is large enough to be raised on a day. `unit` is that of the
+    /// detector.
     ///
-    /// A precise quantity must not raise a change that does not matter. A quantity that wanders must not
-    /// raise a change like those of its commissioning.
+    /// A precise quantity must not raise a change that does not matter. A quantity that wanders
+    /// must not raise a change like those of its commissioning.
     pub(crate) fn matters(self, day: i64, unit: f64, deviation: Deviation) -> bool {
         let size = self.size.abs();
         size >= SMALLEST_STEP * unit && size >= CERTAIN * self.std_with(deviation, day)
@@ -165,8 +166,8 @@ impl Detector {
         }
     }
 
-    /// Updates the response of every candidate after the regression has learnt a row with `gain`, as
-    /// far as the guard let it learn.
+    /// Updates the response of every candidate after the regression has learnt a row with `gain`,
+    /// as far as the guard let it learn.
     pub(crate) fn learn(&mut self, x: &DVector<f64>, gain: &DVector<f64>) {
         for candidate in &mut self.candidates {
             let h = candidate.remainder(x);
@@ -204,8 +205,8 @@ impl Detector {
         self.most_likely(1.0, until)
     }
 
-    /// Returns `true` if the most likely gain matters beside what the model has `learnt` before: a change
-    /// of ln(value) since the commissioning, under its conditions `x`.
+    /// Returns `true` if the most likely gain matters beside what the model has `learnt` before: a
+    /// change of ln(value) since the commissioning, under its conditions `x`.
     ///
     /// The model has learnt part of the gain itself. Only the rest is added.
     pub(crate) fn gains_beyond(&self, learnt: f64, x: &DVector<f64>) -> bool {

@@ -36,8 +36,8 @@ pub(crate) struct Past {
 }
 
 impl Past {
-    /// Moves on to a day with these temperatures. Returns how far the day before it was in the frost
-    /// zone, for each temperature.
+    /// Moves on to a day with these temperatures. Returns how far the day before it was in the
+    /// frost zone, for each temperature.
     pub(crate) fn follow(&mut self, day: i64, today: &[Interior], inertia_days: f64) -> Vec<f64> {
         let Some(last) = self.day.replace(day) else {
             self.interiors = today.to_vec();

@@ -86,7 +86,8 @@ impl Judge {
         self.awaited.iter().any(concerns)
     }
 
-    /// Takes an epoch. Adds the judgements of a day to `judgements` if the epoch begins a later one.
+    /// Takes an epoch. Adds the judgements of a day to `judgements` if the epoch begins a later
+    /// one.
     ///
     /// # Errors
     /// Returns an error if the epoch is not later than the previous one, or does not match the
@@ -180,8 +181,8 @@ impl Judge {
         }
     }
 
-    /// Returns the conditions in the scale of the model, or `None` if one is missing, is frozen or has
-    /// jumped.
+    /// Returns the conditions in the scale of the model, or `None` if one is missing, is frozen or
+    /// has jumped.
     fn conditions(&mut self, epoch: &Epoch) -> Option<Vec<f64>> {
         let mut values = Vec::with_capacity(epoch.conditions.len());
         let mut absence = None;

@@ -194,7 +194,8 @@ impl Judgement {
                     100.0 * change.loss
                 ),
                 Finding::Stiffer(change) => format!(
-                    "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably since {since}.",
+                    "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably since \
+                     {since}.",
                     -100.0 * change.loss,
                     -high,
                     -low
@@ -224,8 +225,8 @@ impl Judgement {
                     "{name} is not judged, because {condition} has not changed for a day or longer."
                 ),
                 Absence::Jumped(condition) => format!(
-                    "{name} is not judged, because {condition} has jumped from one epoch to the next \
-                     and has not gone back. Check the thermometer."
+                    "{name} is not judged, because {condition} has jumped from one epoch to the \
+                     next and has not gone back. Check the thermometer."
                 ),
             },
         }

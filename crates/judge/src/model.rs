@@ -1,6 +1,7 @@
 //! The regressors of a quantity, and how their coefficients change in time.
 //!
-//! The coefficients are, in this order: the level; the slope of each condition; for each temperature
+//! The coefficients are, in this order: the level; the slope of each condition; for each
+//! temperature
 //!
 //! - the additional slope below T0 (frost), and the change of slope where the frost is complete
 //! - the change of slope at each of two warmer knots
@@ -206,8 +207,8 @@ impl Columns {
         1.0 + EPOCH_SHARE * (few - 1.0).max(0.0) + (scatter / sigma).powi(2)
     }
 
-    /// Returns the row of the next day after `past`, which moves on to it. `centre` is subtracted from
-    /// ln(value).
+    /// Returns the row of the next day after `past`, which moves on to it. `centre` is subtracted
+    /// from ln(value).
     pub(crate) fn row(
         &self,
         day: &Day,

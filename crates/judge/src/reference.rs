@@ -325,8 +325,8 @@ impl Guard {
 /// and the days before the last origin give, or 1 if there are no such days.
 ///
 /// The deviation of the last days before an origin does not count: an interval that follows every
-/// deviation would hide a missing condition. Days outside the experience of the origin do not count,
-/// because they would not be judged.
+/// deviation would hide a missing condition. Days outside the experience of the origin do not
+/// count, because they would not be judged.
 fn coverage(series: Series<'_>, sigma: f64) -> f64 {
     let Series {
         columns,
@@ -366,8 +366,8 @@ pub const YEAR_DAYS: i64 = 330;
 /// Share of the days in their interval.
 const INTERVAL: f64 = 0.95;
 
-/// Smallest standard deviation of u in ln(frequency) that a step must exceed, after a commissioning that
-/// does not contain all seasons. Other seasons can bring larger deviations.
+/// Smallest standard deviation of u in ln(frequency) that a step must exceed, after a commissioning
+/// that does not contain all seasons. Other seasons can bring larger deviations.
 const DEVIATION_OF_OTHER_SEASONS: f64 = DEVIATIONS[1];
 
 /// Returns the deviation u that a step must exceed, after a commissioning of a number of days.
@@ -384,9 +384,9 @@ fn deviation(columns: &Columns, structure: &Structure, days: i64) -> Deviation {
 /// It is the quantile that holds 95 % of the days if they contain all seasons. Otherwise it is that
 /// of the model.
 ///
-/// The quantile of n days is exceeded by more than its share of further days, by a factor of 1 + 1/n for
-/// independent days. Successive errors are correlated by ρ, and their squares by ρ². The days count
-/// as n (1 − ρ²)/(1 + ρ²) independent ones.
+/// The quantile of n days is exceeded by more than its share of further days, by a factor of 1 +
+/// 1/n for independent days. Successive errors are correlated by ρ, and their squares by ρ². The
+/// days count as n (1 − ρ²)/(1 + ρ²) independent ones.
 ///
 /// Source: the split conformal interval of Lei et al. (2018), Journal of the American Statistical
 /// Association 113, 1094–1111.

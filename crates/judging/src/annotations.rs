@@ -97,7 +97,8 @@ pub fn read(text: &str, path: &Path) -> Vec<Annotation> {
         let annotation = Annotation::decode("application/json", line.as_bytes());
         annotation
             .inspect_err(|error| {
-                warn!(file = %path.display(), line = number + 1, %error, "not an annotation; left out");
+                warn!(file = %path.display(), line = number + 1, %error, "not an annotation; left \
+                                                                          out");
             })
             .ok()
     };

@@ -52,8 +52,8 @@ pub(crate) struct EpochLog {
 impl EpochLog {
     /// Opens or creates the file in a folder. Calls `judge` for each epoch in it.
     ///
-    /// A last line that is incomplete is removed. If another line is damaged, or if the columns have
-    /// changed, the file is set aside. The epochs before a damaged line are copied.
+    /// A last line that is incomplete is removed. If another line is damaged, or if the columns
+    /// have changed, the file is set aside. The epochs before a damaged line are copied.
     ///
     /// # Errors
     /// The file cannot be read or written, or a line is not an epoch of `plan`.
@@ -119,7 +119,8 @@ impl EpochLog {
         }
     }
 
-    /// Counts a file that is gone, so that this does not remain unnoticed until the end of an epoch.
+    /// Counts a file that is gone, so that this does not remain unnoticed until the end of an
+    /// epoch.
     fn look(&mut self) {
         let was_lost = self.failures.consecutive() > 0;
         let file = self.path.display();
@@ -216,8 +217,8 @@ impl EpochLog {
 
 /// Reads the file of the epochs, or creates it. Returns its sound part, and what is known of it.
 ///
-/// An incomplete last line is removed. A damaged file is set aside, and the epochs before the damage
-/// are copied.
+/// An incomplete last line is removed. A damaged file is set aside, and the epochs before the
+/// damage are copied.
 fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
     let failed = |what| {
         move |source| JudgingError::File {
@@ -236,7 +237,8 @@ fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
         let aside = set_aside(path).map_err(failed("set aside"))?;
         warn!(
             file = %path.display(), aside = %aside.display(), epochs = found.lines,
-            "the file of the epochs has other columns or a damaged line; only the epochs before it are used"
+            "the file of the epochs has other columns or a damaged line; only the epochs before \
+             it are used"
         );
     }
     let is_whole = found.end == End::Whole && !text.is_empty();

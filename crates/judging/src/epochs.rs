@@ -1,14 +1,14 @@
 //! Forms epochs: means of the estimates, with the conditions at that time.
 //!
 //! An epoch is a stretch of measurement time that begins at a multiple of its length since 1970. It
-//! is closed when an estimate of the second next epoch arrives, so that conditions have one epoch of
-//! time to arrive. Its value of a quantity is the geometric mean of the estimates, because the
+//! is closed when an estimate of the second next epoch arrives, so that conditions have one epoch
+//! of time to arrive. Its value of a quantity is the geometric mean of the estimates, because the
 //! judgement concerns ln(value). An estimate counts only if the present data reveal damage of its
 //! parameter, and if it is known whether its samples are measured.
 //!
 //! The natural frequency of a declared mode counts for the epoch in which its own epoch ends. It
-//! counts also while the monitoring is blind, because it depends on no model. A mode that is paired,
-//! or at whose frequency a machine runs, does not count.
+//! counts also while the monitoring is blind, because it depends on no model. A mode that is
+//! paired, or at whose frequency a machine runs, does not count.
 
 use spandrel_bus::{
     ConditionDisplay, ModeDisplay, ModeState, MonitoringDisplay, MonitoringState, Name,
@@ -27,8 +27,8 @@ const HOLDS_FOR_INTERVALS: f64 = 2.0;
 /// Maximum number of epochs for which values of a condition are kept. Conditions arrive without
 /// estimates while the monitoring is blind.
 const CONDITIONS_KEPT: usize = 64;
-/// Largest time by which a value may be ahead of the clock of the machine (ns). An epoch of the future
-/// would exclude all epochs before it.
+/// Largest time by which a value may be ahead of the clock of the machine (ns). An epoch of the
+/// future would exclude all epochs before it.
 const MAX_AHEAD_NS: i64 = 60_000_000_000;
 /// Difference between the scales K and °C.
 const KELVIN_OF_0_CELSIUS: f64 = 273.15;
@@ -415,8 +415,8 @@ impl Sums {
         (self.count > 0 && value.is_finite() && value > 0.0).then_some(value)
     }
 
-    /// Returns the standard deviation of ln(value): successive estimates depend on the same data, so
-    /// their mean is not more certain than one of them.
+    /// Returns the standard deviation of ln(value): successive estimates depend on the same data,
+    /// so their mean is not more certain than one of them.
     fn deviation(&self) -> Option<f64> {
         let count = f64::from(self.count);
         let between = self.square / count - (self.log / count).powi(2);

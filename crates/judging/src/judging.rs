@@ -71,8 +71,8 @@ impl Judging {
         self.epochs
     }
 
-    /// Returns `true` if an annotation is about this structure, and about a judged quantity if it names
-    /// one.
+    /// Returns `true` if an annotation is about this structure, and about a judged quantity if it
+    /// names one.
     pub(crate) fn knows(&self, annotation: &Annotation) -> bool {
         let mut quantities = self.quantities.iter();
         let is_known = |of: &Name| quantities.any(|known| known.name == *of);
@@ -111,8 +111,8 @@ impl Judging {
         })
     }
 
-    /// Judges an epoch, and appends the changes that it reveals to `events`. Returns `true` if a day
-    /// has ended.
+    /// Judges an epoch, and appends the changes that it reveals to `events`. Returns `true` if a
+    /// day has ended.
     ///
     /// # Errors
     /// The epoch is not later than the previous one. It is then ignored.

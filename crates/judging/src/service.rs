@@ -558,8 +558,8 @@ fn warn_without_source(structure: &Structure, plan: &JudgePlan, sources: &Source
         warn!(
             structure = structure.name(),
             quantities = without.join(", "),
-            "no live values: only a stiffness with the name of a parameter and a frequency with the name \
-             of a declared mode have them"
+            "no live values: only a stiffness with the name of a parameter and a frequency with \
+             the name of a declared mode have them"
         );
     }
 }

@@ -1,10 +1,10 @@
 //! Output covariances of a stream, accumulated block by block.
 //!
-//! The memory is *B* · (2*i* − 1) · *l* · *r* numbers, whatever the length of the epoch. Blocks tile
-//! the epoch: the product y(n + k) y_ref(n)ᵀ belongs to the block of sample n, also if sample n + k
-//! is in the block after. No product is lost or counted twice, and no window is applied. With the
-//! block of sample n + k instead, the covariances of a free decay would grow with the lag, and its
-//! damping ratio would be negative.
+//! The memory is *B* · (2*i* − 1) · *l* · *r* numbers, whatever the length of the epoch. Blocks
+//! tile the epoch: the product y(n + k) y_ref(n)ᵀ belongs to the block of sample n, also if sample
+//! n + k is in the block after. No product is lost or counted twice, and no window is applied. With
+//! the block of sample n + k instead, the covariances of a free decay would grow with the lag, and
+//! its damping ratio would be negative.
 //!
 //! Source: Peeters & De Roeck (1999), Mech. Syst. Signal Process. 13, 855–878, for the covariances
 //! with references; Döhler & Mevel (2013), Mech. Syst. Signal Process. 38, 346–366, for their
@@ -213,8 +213,8 @@ impl CovarianceStream {
         }
     }
 
-    /// Returns R_k = (Σ y y_refᵀ − (Σ y) m_refᵀ − m (Σ y_ref)ᵀ + L m m_refᵀ) / L for lags 1 to 2*i* − 1,
-    /// side by side. *m* is the mean of the epoch and *L* the length of the block.
+    /// Returns R_k = (Σ y y_refᵀ − (Σ y) m_refᵀ − m (Σ y_ref)ᵀ + L m m_refᵀ) / L for lags 1 to 2*i*
+    /// − 1, side by side. *m* is the mean of the epoch and *L* the length of the block.
     fn block_covariances(
         &self,
         sums: &BlockSums,
@@ -308,7 +308,8 @@ impl EpochCovariances {
         }
     }
 
-    /// Returns the block Hankel matrix of covariances, *i* *l* × *i* *r*: block (a, b) is R_{a+b+1}.
+    /// Returns the block Hankel matrix of covariances, *i* *l* × *i* *r*: block (a, b) is
+    /// R_{a+b+1}.
     ///
     /// Its columns are those of the block Toeplitz matrix in reverse, so both have the same left
     /// singular vectors.

@@ -27,8 +27,8 @@ const COMPARED: usize = 5;
 /// Minimum ratio of the damping ratio of a certain mode to the standard deviation of this damping
 /// ratio. In simulations, most modes below it are spurious.
 pub const CERTAIN_DAMPING: f64 = 2.0;
-/// Spectral kurtosis below which a line of the spectrum is a sine, if its pole has almost no damping:
-/// halfway from 0 (random motion) to −1 (a sine).
+/// Spectral kurtosis below which a line of the spectrum is a sine, if its pole has almost no
+/// damping: halfway from 0 (random motion) to −1 (a sine).
 pub const MACHINE_KURTOSIS: f64 = -0.5;
 /// Spectral kurtosis below which a line is a sine with any damping of its pole. A machine beside a
 /// mode shares its pole. Random motion is below with a probability of 0.002 for
@@ -155,7 +155,8 @@ fn candidates(realisation: &Realisation, model: &Model, band_hz: (f64, f64)) -> 
 ///
 /// At some orders, a spurious pole next to the mode multiplies the standard deviation. Of the poles
 /// in the middle half of the frequencies, [`COMPARED`] ones are compared, evenly spread over their
-/// orders. The one with the smallest standard deviation of the damping ratio represents the cluster.
+/// orders. The one with the smallest standard deviation of the damping ratio represents the
+/// cluster.
 fn representative<'p>(
     cluster: &'p [Pole],
     models: &[Model],

@@ -1,9 +1,9 @@
 //! Streams of several bands side by side, so that one setting suits any structure.
 //!
-//! A subspace method finds a mode only if its time lags cover about a period of the mode, and if the
-//! sampling rate is not far above its frequency. The ladder therefore repeats the identification at
-//! lower and lower rates, each a fifth of the one above. Each band accounts for the upper four
-//! fifths of its frequencies, and the lowest band for all of them.
+//! A subspace method finds a mode only if its time lags cover about a period of the mode, and if
+//! the sampling rate is not far above its frequency. The ladder therefore repeats the
+//! identification at lower and lower rates, each a fifth of the one above. Each band accounts for
+//! the upper four fifths of its frequencies, and the lowest band for all of them.
 
 use crate::identify::{Identified, Mode, identify};
 use crate::settings::USABLE_SHARE;

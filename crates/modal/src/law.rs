@@ -1,9 +1,9 @@
 //! The smallest possible uncertainty of a mode in ambient vibration.
 //!
-//! Source: S.-K. Au (2014), *Uncertainty law in ambient modal identification – Part I: Theory*, Mech.
-//! Syst. Signal Process. 48, 15–33. For separated modes, small damping and long data, the coefficients of
-//! variation approach (ζ/(2π N_c B_f))^½ and (1/(2π ζ N_c B_ζ))^½. The factors B_f and B_ζ are at
-//! most 1, which they reach with the whole band.
+//! Source: S.-K. Au (2014), *Uncertainty law in ambient modal identification – Part I: Theory*,
+//! Mech. Syst. Signal Process. 48, 15–33. For separated modes, small damping and long data, the
+//! coefficients of variation approach (ζ/(2π N_c B_f))^½ and (1/(2π ζ N_c B_ζ))^½. The factors B_f
+//! and B_ζ are at most 1, which they reach with the whole band.
 
 use std::f64::consts::PI;
 

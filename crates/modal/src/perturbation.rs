@@ -288,8 +288,8 @@ mod tests {
             .unwrap()
     }
 
-    /// The derivative by central differences of the whole identification, block by block. Shapes are
-    /// compared relative to their first channel, because their scale is arbitrary.
+    /// The derivative by central differences of the whole identification, block by block. Shapes
+    /// are compared relative to their first channel, because their scale is arbitrary.
     #[test]
     fn changes_are_the_derivatives_of_the_identification() {
         const STEP: f64 = 1e-5;

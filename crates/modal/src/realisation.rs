@@ -1,12 +1,12 @@
 //! Poles of state-space models of all orders, from one singular value decomposition.
 //!
-//! Notation of Döhler & Mevel (2013), Mech. Syst. Signal Process. 38, 346–366: H block Hankel matrix
-//! of output covariances, O observability matrix, A state matrix, C output matrix, n order, λ
-//! eigenvalue of A. Equation numbers here refer to docs/theory/modal.md.
+//! Notation of Döhler & Mevel (2013), Mech. Syst. Signal Process. 38, 346–366: H block Hankel
+//! matrix of output covariances, O observability matrix, A state matrix, C output matrix, n order,
+//! λ eigenvalue of A. Equation numbers here refer to docs/theory/modal.md.
 //!
-//! The observability matrix is O = U_n instead of U_n S_n^½. The two differ by a change of the state
-//! basis, which leaves poles and shapes unchanged. As the columns of U are orthonormal,
-//! O_upᵀ O_up = I − U_lastᵀ U_last, where U_last is the last block row. The models of all orders
+//! The observability matrix is O = U_n instead of U_n S_n^½. The two differ by a change of the
+//! state basis, which leaves poles and shapes unchanged. As the columns of U are orthonormal, O_upᵀ
+//! O_up = I − U_lastᵀ U_last, where U_last is the last block row. The models of all orders
 //! therefore share their products.
 
 use crate::ModalError;

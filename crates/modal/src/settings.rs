@@ -90,7 +90,8 @@ impl ModalSettings {
         (self.blocks * 2 * self.block_rows) as f64 / self.decimated_rate_hz()
     }
 
-    /// Returns the time before the first epoch, in which the filter and the time lags are filled (s).
+    /// Returns the time before the first epoch, in which the filter and the time lags are filled
+    /// (s).
     #[must_use]
     pub fn start_up_s(&self) -> f64 {
         let factor = decimation_factor(self.rate_hz, self.highest_hz);

@@ -2,9 +2,9 @@
 //! kurtosis that distinguishes a machine from a mode.
 //!
 //! Sources: P. D. Welch (1967), IEEE Trans. Audio Electroacoust. 15, 70–73, for the densities.
-//! J. Antoni (2006), Mech. Syst. Signal Process. 20, 282–307, for the spectral kurtosis; J.-L. Dion,
-//! I. Tawfiq & G. Chevallier (2012), Mech. Syst. Signal Process. 26, 24–33, for its use against
-//! harmonics in modal identification.
+//! J. Antoni (2006), Mech. Syst. Signal Process. 20, 282–307, for the spectral kurtosis; J.-L.
+//! Dion, I. Tawfiq & G. Chevallier (2012), Mech. Syst. Signal Process. 26, 24–33, for its use
+//! against harmonics in modal identification.
 
 use nalgebra::{Complex, DMatrix};
 use serde::{Deserialize, Serialize};

@@ -2,8 +2,8 @@
 //!
 //! A mode of an epoch belongs to the tracked mode of the smallest cost
 //! (Δ ln f / s)² + ((1 − MAC) / 0.1)², if the cost is at most 12. Assignments are made in the order
-//! of their cost, each mode at most once. Modes without a partner become candidates, and a candidate
-//! that persists is proposed. Nothing is adopted silently.
+//! of their cost, each mode at most once. Modes without a partner become candidates, and a
+//! candidate that persists is proposed. Nothing is adopted silently.
 //!
 //! The predicted ln f of a tracked mode is a random walk, updated by a scalar Kalman filter. Its
 //! variance grows in every epoch in which the mode is missing, so that a mode that has changed is

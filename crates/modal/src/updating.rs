@@ -1,7 +1,7 @@
 //! Stiffness of the parts of a structure with a model, from its modes.
 //!
-//! After a commissioning, the change of ln k of each part is estimated from the modes of each epoch,
-//! with the sensitivities of a calibrated model. The theory is in `docs/theory/modal.md`.
+//! After a commissioning, the change of ln k of each part is estimated from the modes of each
+//! epoch, with the sensitivities of a calibrated model. The theory is in `docs/theory/modal.md`.
 //!
 //! - `part_model`: the model, its modes and their derivatives
 //! - `observation`: the modes of an epoch
@@ -97,8 +97,8 @@ impl StiffnessUpdate {
     /// An epoch without any mode does not count.
     ///
     /// # Errors
-    /// A decomposition fails, or no mode of the commissioning is one of the model. The commissioning
-    /// then starts again.
+    /// A decomposition fails, or no mode of the commissioning is one of the model. The
+    /// commissioning then starts again.
     pub fn handle(
         &mut self,
         epoch: Vec<Option<SeenMode>>,

@@ -1,8 +1,8 @@
 //! Share of the 95 % intervals that contain the truth, over a few simulated epochs.
 //!
-//! The simulation shares nothing with the method: modal oscillators under random forces, with the exact
-//! solution over a step. A few seeds only find a gross error of the deviations. `spandrel validate
-//! modal` has many seeds and conditions. A machine beside a mode is named.
+//! The simulation shares nothing with the method: modal oscillators under random forces, with the
+//! exact solution over a step. A few seeds only find a gross error of the deviations. `spandrel
+//! validate modal` has many seeds and conditions. A machine beside a mode is named.
 
 #![allow(
     clippy::unwrap_used,

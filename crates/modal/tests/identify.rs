@@ -88,8 +88,8 @@ fn deviations_are_never_below_the_law() {
     }
 }
 
-/// The jackknife identifies the epoch without each of its blocks. It shares the covariances with the
-/// perturbation of first order, and nothing else.
+/// The jackknife identifies the epoch without each of its blocks. It shares the covariances with
+/// the perturbation of first order, and nothing else.
 #[test]
 fn deviations_of_the_perturbation_agree_with_a_jackknife() {
     let (chain, mut settings) = three_storeys();

@@ -1,9 +1,9 @@
 //! The natural frequencies of a full-scale test tower update the stiffnesses of a shear chain. What
 //! shakes the tower is not used.
 //!
-//! The records are in `shared/data` beside the repository. Each is judged against the other two, with
-//! one epoch per record. A loss of one storey is added by the calibrated model: its change of each
-//! frequency and shape is added to the identified ones, whose residuals stay.
+//! The records are in `shared/data` beside the repository. Each is judged against the other two,
+//! with one epoch per record. A loss of one storey is added by the calibrated model: its change of
+//! each frequency and shape is added to the identified ones, whose residuals stay.
 
 #![allow(
     clippy::unwrap_used,

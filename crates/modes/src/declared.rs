@@ -1,7 +1,7 @@
 //! Follows declared modes from epoch to epoch, and proposes others.
 //!
-//! A declared mode starts with the nearest mode of an epoch within its tolerance, and then belongs to
-//! a tracked mode of [`Tracker`]. It may move away from its declared frequency, as a damaged
+//! A declared mode starts with the nearest mode of an epoch within its tolerance, and then belongs
+//! to a tracked mode of [`Tracker`]. It may move away from its declared frequency, as a damaged
 //! structure does. If it is lost and another mode persists near the declared frequency, this other
 //! mode replaces it. Further modes that persist are proposed, and never adopted.
 
@@ -215,8 +215,8 @@ impl DeclaredModes {
         fits
     }
 
-    /// Forgets all epochs, except for the commissioning of the stiffnesses and the last frequencies. The
-    /// structure is the same in another run of its frames.
+    /// Forgets all epochs, except for the commissioning of the stiffnesses and the last
+    /// frequencies. The structure is the same in another run of its frames.
     pub(crate) fn clear(&mut self) {
         let former = std::mem::replace(&mut self.state, DeclaredState::new(self.modes.len()));
         for (followed, former) in self.state.modes.iter_mut().zip(former.modes) {
@@ -391,7 +391,8 @@ impl DeclaredModes {
         let (what, why) = match kind {
             EventKind::ModePaired => (
                 format!("modes {first} and {second} cannot be told apart"),
-                "their frequencies and shapes are too similar; only their mean frequency has a meaning",
+                "their frequencies and shapes are too similar; only their mean frequency has a \
+                 meaning",
             ),
             _ => (
                 format!("modes {first} and {second} can be told apart again"),
@@ -522,8 +523,8 @@ impl Seen<'_> {
         Some(mode)
     }
 
-    /// Returns the candidates with which a declared mode can start, with their distances |Δ ln f| from
-    /// its last frequency `last_hz`, or from the declared one.
+    /// Returns the candidates with which a declared mode can start, with their distances |Δ ln f|
+    /// from its last frequency `last_hz`, or from the declared one.
     ///
     /// The mode can have drifted far from the declared frequency before a gap.
     fn starts(

@@ -40,7 +40,8 @@ pub(crate) struct FollowingState {
 }
 
 impl FollowingState {
-    /// Version of the layout. Every change of a field here or in the nested states must increase it.
+    /// Version of the layout. Every change of a field here or in the nested states must increase
+    /// it.
     pub(crate) const VERSION: u16 = 2;
 }
 
@@ -121,7 +122,8 @@ impl Following {
         Some(TimeGrid::new(t0_ns, self.plan.settings.rate_hz)?.time_ns(frame))
     }
 
-    /// Processes frames or a gap, and appends the messages of the epochs that are over to `outputs`.
+    /// Processes frames or a gap, and appends the messages of the epochs that are over to
+    /// `outputs`.
     pub(crate) fn handle(&mut self, input: &Delivery<FrameBlock>, outputs: &mut Vec<ModesOutput>) {
         match input {
             Delivery::Block(block) => self.take(block, outputs),

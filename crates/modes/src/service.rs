@@ -164,8 +164,8 @@ impl ModesService {
             let mut status = tokio::time::interval(STATUS_EVERY);
             let deliveries = self.frames.deliveries().clone();
             loop {
-                // The selection is not biased. At full speed there are always frames, and the others
-                // still need their turn.
+                // The selection is not biased. At full speed there are always frames, and the
+                // others still need their turn.
                 tokio::select! {
                     delivery = deliveries.recv_async() => match delivery {
                         Ok(delivery) => self.take(delivery).await?,
@@ -193,8 +193,8 @@ impl ModesService {
         })
     }
 
-    /// Processes frames on a thread of their own, because an epoch takes longer than an async thread
-    /// may be blocked.
+    /// Processes frames on a thread of their own, because an epoch takes longer than an async
+    /// thread may be blocked.
     async fn take(&mut self, delivery: Delivery<FrameBlock>) -> Result<(), ModesError> {
         let Some(mut core) = self.core.take() else {
             return Ok(()); // an earlier call has ended the service

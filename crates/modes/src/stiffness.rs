@@ -98,8 +98,8 @@ impl Stiffnesses {
         }
     }
 
-    /// Returns the change since the commissioning in the last epoch. `None` during the commissioning,
-    /// and after an epoch without a usable mode.
+    /// Returns the change since the commissioning in the last epoch. `None` during the
+    /// commissioning, and after an epoch without a usable mode.
     #[must_use]
     pub fn last(&self) -> Option<&StiffnessChange> {
         self.last.as_ref()

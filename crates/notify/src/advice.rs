@@ -192,7 +192,8 @@ mod tests {
         let degraded = given(clear, Some(MonitoringState::Degraded), &[]);
         assert_eq!(
             degraded,
-            "Check the sensors first: node roof-node (samples used: roof 33 %). Then inspect storey-2."
+            "Check the sensors first: node roof-node (samples used: roof 33 %). Then inspect \
+             storey-2."
         );
     }
 

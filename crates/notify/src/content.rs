@@ -378,7 +378,8 @@ impl Scene<'_> {
         Content::new(report, circumstances)
     }
 
-    /// Returns where the report of an earthquake is that may have caused an alert. Empty without one.
+    /// Returns where the report of an earthquake is that may have caused an alert. Empty without
+    /// one.
     fn earthquake_report(&self, alert: &AlertMessage) -> String {
         let is_connected = |quake: &&Earthquake| {
             let after_ns = alert.time_ns.saturating_sub(quake.time_ns);

@@ -159,7 +159,8 @@ impl Memory {
         let is_new = self.failures.consecutive() == 0 && !self.checkpoints.has_folder();
         if is_new && self.failures.failed() {
             warn!(
-                "the folder of the checkpoints is gone; after a crash, notices may be missing or be sent twice"
+                "the folder of the checkpoints is gone; after a crash, notices may be missing or \
+                 be sent twice"
             );
         }
     }
@@ -172,7 +173,8 @@ impl Memory {
     fn failed(&mut self, error: &CheckpointError) {
         if self.failures.failed() {
             let failures = self.failures.consecutive();
-            warn!(%error, failures, "cannot save notices; after a crash, notices may be missing or be sent twice");
+            warn!(%error, failures, "cannot save notices; after a crash, notices may be missing \
+                                     or be sent twice");
         }
     }
 

@@ -289,7 +289,8 @@ mod tests {
             "Measured at: 1970-01-01T00:00:20Z",
             "0.8760 of nominal, standard deviation 0.0123",
             "12.4 %, between 9.0 % and 15.0 % with 99.0 % credibility\nRule:",
-            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %\nFit:         supported\nData:        watching\n",
+            "more than 5.0 % lost with 99.0 % credibility; found 99.7 %\nFit:         supported\n\
+             Data:        watching\n",
             "Samples:     measured\nAlso:        storey-1 pending: it has lost 6 %\n",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
@@ -317,7 +318,13 @@ mod tests {
         );
         let (subject, text) = mail(&content(Report::Monitoring(blind)));
         assert_eq!(subject, "house: monitoring blind");
-        assert!(text.contains("State:       blind since 1970-01-01T00:00:05Z\nReason:      no samples of roof are used\n"), "{text}");
+        assert!(
+            text.contains(
+                "State:       blind since 1970-01-01T00:00:05Z\n\
+                               Reason:      no samples of roof are used\n"
+            ),
+            "{text}"
+        );
         for sample in samples("house") {
             let (subject, text) = mail(&sample);
             assert!(subject.starts_with("[TEST] house: "), "{subject}");

@@ -28,8 +28,8 @@ impl Origin {
     }
 }
 
-/// Time after which a partly simulated structure counts as measured, ns. The tokens of a process that
-/// was killed do not disappear at the same moment.
+/// Time after which a partly simulated structure counts as measured, ns. The tokens of a process
+/// that was killed do not disappear at the same moment.
 const MIXED_FOR_NS: i64 = 5_000_000_000;
 
 /// The origin of the samples of one structure. It remains after the samples have ended, until

@@ -246,8 +246,8 @@ impl Outbox {
         }
     }
 
-    /// Records the state of a monitoring. Returns the states that have ended if the structure is watched
-    /// again.
+    /// Records the state of a monitoring. Returns the states that have ended if the structure is
+    /// watched again.
     fn ended_sights(&mut self, of: &Subject, content: &Content) -> BTreeSet<NoticeState> {
         let (Report::Monitoring(_), Some(state)) = (&content.report, content.state()) else {
             return BTreeSet::new();

@@ -127,7 +127,8 @@ struct Source {
     judged: BTreeMap<Name, String>,
     /// The latest earthquake since the start of the service.
     earthquake: Option<Earthquake>,
-    /// Reports of earthquakes whose notices are not composed yet. The queue of the listener bounds it.
+    /// Reports of earthquakes whose notices are not composed yet. The queue of the listener bounds
+    /// it.
     reported: Vec<Event>,
     clocks: Clocks,
     /// Changes of clocks whose notices are not composed yet. The nodes of the structure bound it.
@@ -518,8 +519,8 @@ impl Source {
         self.catch_up(&told, outbox, now);
     }
 
-    /// Queues the lasting change of a quantity, unless it is known. The same judgement arrives every few
-    /// seconds.
+    /// Queues the lasting change of a quantity, unless it is known. The same judgement arrives
+    /// every few seconds.
     fn take_judgement(&mut self, display: &JudgementDisplay, outbox: &mut Outbox, now: Duration) {
         let quantity = &display.quantity;
         if display.change.is_none() {
@@ -575,7 +576,8 @@ impl Source {
                 && request.parameter.as_ref().is_none_or(is_known);
             if !is_own {
                 let (structure, parameter) = (&request.structure, &request.parameter);
-                warn!(%structure, ?parameter, "maintenance of an unknown parameter or structure rejected");
+                warn!(%structure, ?parameter, "maintenance of an unknown parameter or structure \
+                                               rejected");
             }
             let change = is_own.then(|| outbox.maintain(request, wall_ns)).flatten();
             if let Some(change) = change {

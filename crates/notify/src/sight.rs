@@ -82,8 +82,8 @@ impl Sight {
         self.heard.as_ref()?.0.measured_ns
     }
 
-    /// Returns the report for a notice about samples of this origin, if one is due. `wall_ns` is the wall-clock time, ns since
-    /// the Unix epoch, UTC.
+    /// Returns the report for a notice about samples of this origin, if one is due. `wall_ns` is
+    /// the wall-clock time, ns since the Unix epoch, UTC.
     pub(crate) fn look(
         &mut self,
         origin: Origin,

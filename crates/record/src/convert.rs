@@ -47,8 +47,8 @@ impl OutputFormat {
     }
 }
 
-/// Maximum ratio of the larger to the smaller rate of a conversion. The filter of such a ratio has a
-/// million weights.
+/// Maximum ratio of the larger to the smaller rate of a conversion. The filter of such a ratio has
+/// a million weights.
 const MOST_RATIO: f64 = 1e4;
 
 /// Maximum number of samples of all channels after a conversion to a higher rate: 4 GiB.

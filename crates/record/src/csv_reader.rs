@@ -154,7 +154,8 @@ impl<'a> CsvReader<'a> {
         })
     }
 
-    /// Returns the line of the last row, from 1. Before the first row, it is the line of the header.
+    /// Returns the line of the last row, from 1. Before the first row, it is the line of the
+    /// header.
     pub fn line(&self) -> u64 {
         self.line
     }

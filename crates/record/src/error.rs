@@ -16,7 +16,8 @@ pub enum RecordError {
         source: std::io::Error,
     },
     /// The path leads to a pipe, a device or a socket.
-    #[error("{}: is a pipe, a device or a socket, must be a regular file or a folder", path.display())]
+    #[error("{}: is a pipe, a device or a socket, must be a regular file or a \
+             folder", path.display())]
     NotAFile {
         /// The path.
         path: PathBuf,
@@ -48,7 +49,8 @@ pub enum RecordError {
         source: std::io::Error,
     },
     /// The recording lacks channels that the mapping requires.
-    #[error("{}: has no channel {}; its channels are {}", path.display(), quoted(missing), quoted(found))]
+    #[error("{}: has no channel {}; its channels are \
+             {}", path.display(), quoted(missing), quoted(found))]
     MissingChannels {
         /// The file.
         path: PathBuf,
@@ -176,7 +178,8 @@ pub enum RecordError {
         source: Box<mcap::McapError>,
     },
     /// Another process or log has the folder of a frame log open.
-    #[error("{}: another process is using the frame log; stop that process, or choose another folder", folder.display())]
+    #[error("{}: another process is using the frame log; stop that process, or choose another \
+             folder", folder.display())]
     LogInUse {
         /// The folder.
         folder: PathBuf,
@@ -253,7 +256,8 @@ pub enum RecordError {
         found: Vec<String>,
     },
     /// A row of a table does not end, as in a file without line breaks.
-    #[error("{}:{line}: row has no end within {most} bytes, must have at most {most} bytes", path.display())]
+    #[error("{}:{line}: row has no end within {most} bytes, must have at most {most} \
+             bytes", path.display())]
     LongRow {
         /// The file.
         path: PathBuf,
@@ -285,7 +289,8 @@ pub enum RecordError {
         column: String,
     },
     /// A row has more or fewer fields than the header.
-    #[error("{}:{line}: row has {found} fields, must have {expected} like the header", path.display())]
+    #[error("{}:{line}: row has {found} fields, must have {expected} like the \
+             header", path.display())]
     RaggedRow {
         /// The file.
         path: PathBuf,
@@ -298,7 +303,8 @@ pub enum RecordError {
     },
     /// A field is not a finite number.
     #[error(
-        "{}:{line}: column `{column}` is `{found}`, must be a finite number, or empty for a missing sample",
+        "{}:{line}: column `{column}` is `{found}`, must be a finite number, or empty for a \
+         missing sample",
         path.display()
     )]
     BadNumber {
@@ -340,7 +346,8 @@ pub enum RecordError {
         previous_s: String,
     },
     /// The file has fewer than two rows and therefore no sampling rate.
-    #[error("{}: has {rows} rows, must have at least 2 to determine a sampling rate", path.display())]
+    #[error("{}: has {rows} rows, must have at least 2 to determine a sampling \
+             rate", path.display())]
     TooShort {
         /// The file.
         path: PathBuf,
@@ -348,7 +355,8 @@ pub enum RecordError {
         rows: usize,
     },
     /// The sampling rate of the file differs from the declared rate.
-    #[error("{}: is sampled at {found_hz:.4} Hz, must be {declared_hz} Hz as declared", path.display())]
+    #[error("{}: is sampled at {found_hz:.4} Hz, must be {declared_hz} Hz as \
+             declared", path.display())]
     SamplingRate {
         /// The file.
         path: PathBuf,
@@ -403,7 +411,8 @@ pub enum RecordError {
         expected: usize,
     },
     /// A value to be written is infinite.
-    #[error("{}:{line}: value of `{column}` is {found}, must be finite, or NaN for missing", path.display())]
+    #[error("{}:{line}: value of `{column}` is {found}, must be finite, or NaN for \
+             missing", path.display())]
     NotFinite {
         /// The file.
         path: PathBuf,

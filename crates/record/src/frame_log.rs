@@ -225,8 +225,8 @@ impl FrameLog {
         let note = Note::lock(folder)?;
         let shared = Arc::new(Folder::read(folder)?);
         if shared.names().is_empty() {
-            // The names of the folder and of those above it need a sync, too. An unreadable one must
-            // not prevent logging.
+            // The names of the folder and of those above it need a sync, too. An unreadable one
+            // must not prevent logging.
             for above in folder.ancestors().skip(1) {
                 let _ = sync_folder(above);
             }

@@ -201,8 +201,8 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(())
     }
 
-    /// Writes the index and the end of the file, and returns the output. Dropping the writer without
-    /// this call may silently lose the last chunk.
+    /// Writes the index and the end of the file, and returns the output. Dropping the writer
+    /// without this call may silently lose the last chunk.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -247,7 +247,8 @@ impl McapChannel {
 
 /// Returns the JSON schema of a message.
 fn schema() -> String {
-    let value = serde_json::json!({ "type": "number", "description": "sample in the unit of the channel's metadata" });
+    let value = serde_json::json!({ "type": "number", "description": "sample in the unit of the \
+                                                                      channel's metadata" });
     let properties = serde_json::json!({ VALUE_FIELD: value });
     serde_json::json!({ "title": SCHEMA_NAME, "type": "object", "properties": properties, "required": [VALUE_FIELD] })
         .to_string()

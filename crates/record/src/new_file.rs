@@ -11,9 +11,9 @@ const ENDING: &str = ".new";
 
 /// A file that receives its name when it is complete.
 ///
-/// Until [`NewFile::finish`], the data are in a file beside it, whose name has the ending `.new`. An
-/// existing file therefore keeps its content if something fails. A file that is dropped before is
-/// removed.
+/// Until [`NewFile::finish`], the data are in a file beside it, whose name has the ending `.new`.
+/// An existing file therefore keeps its content if something fails. A file that is dropped before
+/// is removed.
 ///
 /// A pipe, a device or a symbolic link is written directly.
 #[derive(Debug)]

@@ -9,7 +9,8 @@ use crate::{ColumnMapping, CsvWriter, McapWriter, OutputFormat, RecordError};
 /// Extensions of formats that are written row by row. miniSEED is written channel by channel.
 const ROW_OUTPUTS: &[&str] = &[".csv", ".mcap"];
 
-/// A writer of records, row by row, as CSV or MCAP. It replaces an existing file when it has finished.
+/// A writer of records, row by row, as CSV or MCAP. It replaces an existing file when it has
+/// finished.
 pub enum RecordWriter {
     /// Comma-separated values.
     Csv(Box<CsvWriter<NewFile>>),

@@ -262,7 +262,8 @@ impl<'a> Reading<'a> {
                 let unpacked = Source::new(self.budget.unpacked(decoder));
                 self.source(unpacked.map_err(|error| inner.unreadable(error))?, &inner)
             }
-            // An archive has its list of files at the end. A file can be read there without the rest.
+            // An archive has its list of files at the end. A file can be read there without the
+            // rest.
             Format::Zip if place.archive.is_none() => {
                 self.zip(BufReader::new(open_file(path)?), place)
             }

@@ -276,7 +276,8 @@ mod tests {
         let told = rows(&unequal, &mapping).unwrap_err().to_string();
         assert_eq!(
             told,
-            "hall.mseed: channel `b` is sampled at 200.0000 Hz, must be 100.0000 Hz like `a`; resample them"
+            "hall.mseed: channel `b` is sampled at 200.0000 Hz, must be 100.0000 Hz like `a`; \
+             resample them"
         );
         let dated = channel("b", 100.0, 0, &[1.0]).with_origin(TimeOrigin::Epoch);
         let mixed = file(vec![channel("a", 100.0, 0, &[1.0]), dated]);

@@ -344,8 +344,8 @@ mod tests {
         assert_eq!(
             RecordingSummary::of(&file).to_string(),
             "hall.v2: CSMIP volume 2, 1 channel\n\nroof: acceleration in cm/sec2 (Tran)\n  \
-             4 samples at 100 Hz, 0.040 s from 2024-02-29T12:00:00Z\n  1 sample missing in 1 gap: 1 after 0.010 s\n  \
-             mean 0, std 2.34521, min -4, max 2, peak -4 after 0.010 s\n"
+             4 samples at 100 Hz, 0.040 s from 2024-02-29T12:00:00Z\n  1 sample missing in 1 gap: \
+             1 after 0.010 s\n  mean 0, std 2.34521, min -4, max 2, peak -4 after 0.010 s\n"
         );
         let json = RecordingSummary::of(&file).json();
         let value: serde_json::Value = serde_json::from_str(&json).unwrap();

@@ -285,7 +285,8 @@ mod tests {
 
     #[test]
     fn header_is_found_after_the_preamble_of_a_recorder() {
-        let head = "sep=,\nDeviceTag:,Xsens DOT\nStartTime: ,2025-03-06\n\u{e4} Ltd\n\nPacket,Time_us,Acc\n0,10,0.5\n1,20,0.6\n";
+        let head = "sep=,\nDeviceTag:,Xsens DOT\nStartTime: ,2025-03-06\n\u{e4} Ltd\n\n\
+                    Packet,Time_us,Acc\n0,10,0.5\n1,20,0.6\n";
         for wanted in [None, Some("Time_us")] {
             let layout = TableLayout::find(head.as_bytes(), wanted);
             assert_eq!(

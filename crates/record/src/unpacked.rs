@@ -14,8 +14,8 @@ const FREE_BYTES: u64 = 16 << 20;
 
 /// Maximum ratio of decompressed to compressed size beyond [`FREE_BYTES`].
 ///
-/// The format of gzip and zip allows about 1000, which only repeated bytes reach. Samples with noise
-/// and increasing times do not repeat.
+/// The format of gzip and zip allows about 1000, which only repeated bytes reach. Samples with
+/// noise and increasing times do not repeat.
 const MOST_RATIO: u64 = 100;
 
 /// The numbers of compressed and decompressed bytes of a file, including nested archives.

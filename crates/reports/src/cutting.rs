@@ -65,7 +65,8 @@ pub(crate) struct CuttingState {
 }
 
 impl CuttingState {
-    /// Version of the layout. Every change of a field here or in the nested states must increase it.
+    /// Version of the layout. Every change of a field here or in the nested states must increase
+    /// it.
     pub(crate) const VERSION: u16 = 1;
 }
 
@@ -115,8 +116,8 @@ impl Cutting {
         Ok(())
     }
 
-    /// Returns epoch and number of the first frame that a recording may still need. `None` before the
-    /// first frame.
+    /// Returns epoch and number of the first frame that a recording may still need. `None` before
+    /// the first frame.
     pub(crate) fn needed_from(&self) -> Option<(u64, u64)> {
         Some((self.run?.epoch, self.detection.needed_from()))
     }

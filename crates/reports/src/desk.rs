@@ -46,7 +46,8 @@ impl Desk {
         }
     }
 
-    /// Works on the next recording that the history lacks. `standing` are the open alerts, in words.
+    /// Works on the next recording that the history lacks. `standing` are the open alerts, in
+    /// words.
     pub(crate) fn work(&mut self, standing: &[String]) -> Work {
         match self.records.trim(self.keep) {
             Ok(true) => self.course = None,

@@ -42,8 +42,8 @@ pub trait ReportMaker: fmt::Debug + Send + Sync {
 
 /// Reports the recordings of one structure in the order of time.
 pub trait ReportCourse: fmt::Debug + Send {
-    /// Reports a recording that is later than all others. `occasion` says why it was recorded, or is
-    /// empty for an earthquake. `standing` are the open alerts of the structure, in words.
+    /// Reports a recording that is later than all others. `occasion` says why it was recorded, or
+    /// is empty for an earthquake. `standing` are the open alerts of the structure, in words.
     ///
     /// The recording is a CSV file with a column `time` (s since 1970-01-01 UTC) and one column per
     /// channel (SI).

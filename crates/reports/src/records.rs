@@ -1,9 +1,9 @@
 //! The folder of the recordings and reports of one structure.
 //!
-//! A recording `T` consists of `T.csv` and `T.record`, which says why it was recorded. Its report is
-//! `STRUCTURE_T.html` and `STRUCTURE_T.json`. Every file is written under another name first, so a
-//! file with one of these names is complete. The CSV file comes after `T.record`, and the JSON file
-//! after the HTML file.
+//! A recording `T` consists of `T.csv` and `T.record`, which says why it was recorded. Its report
+//! is `STRUCTURE_T.html` and `STRUCTURE_T.json`. Every file is written under another name first, so
+//! a file with one of these names is complete. The CSV file comes after `T.record`, and the JSON
+//! file after the HTML file.
 
 use crate::cutting::{About, Recorded};
 use crate::maker::MadeReport;
@@ -193,11 +193,11 @@ impl Records {
         Some((read("html")?, read("json")?))
     }
 
-    /// Removes the recordings that were kept first, with their reports, if there are more than `most`.
-    /// Returns whether some were removed.
+    /// Removes the recordings that were kept first, with their reports, if there are more than
+    /// `most`. Returns whether some were removed.
     ///
-    /// The clocks of sensors do not decide this. If they were ahead for a while, the recordings of the
-    /// true time would otherwise be the oldest ones.
+    /// The clocks of sensors do not decide this. If they were ahead for a while, the recordings of
+    /// the true time would otherwise be the oldest ones.
     pub(crate) fn trim(&self, most: usize) -> io::Result<bool> {
         let mut all = self.list()?;
         if all.len() <= most {
@@ -301,8 +301,8 @@ mod tests {
         assert_eq!(text.lines().nth(1), Some("1000000,0.5,"), "{text}");
     }
 
-    /// Regression test: the second of two records without dates replaced the recording of the first,
-    /// and was not reported.
+    /// Regression test: the second of two records without dates replaced the recording of the
+    /// first, and was not reported.
     #[test]
     fn records_without_dates_have_their_own_names_and_a_repetition_keeps_its_name() {
         let folder = tempfile::tempdir().unwrap();

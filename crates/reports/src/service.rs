@@ -222,8 +222,8 @@ impl ReportsService {
             let mut status = tokio::time::interval(STATUS_EVERY);
             let deliveries = self.frames.deliveries().clone();
             loop {
-                // The selection is not biased. At full speed there are always frames, and the others
-                // still need their turn.
+                // The selection is not biased. At full speed there are always frames, and the
+                // others still need their turn.
                 tokio::select! {
                     delivery = deliveries.recv_async() => match delivery {
                         Ok(delivery) => self.take(&delivery).await?,
@@ -237,8 +237,8 @@ impl ReportsService {
                 }
                 self.work();
             }
-            // What is not on disk yet is read again after the next start, because the last checkpoint
-            // precedes it.
+            // What is not on disk yet is read again after the next start, because the last
+            // checkpoint precedes it.
             if let Some(memory) = self.memory.take() {
                 memory.close().await;
             }
@@ -269,7 +269,8 @@ impl ReportsService {
                 CutOutput::Began { start_ns, time_ns } => {
                     let stem = stem(start_ns);
                     let report = stem.to_lowercase();
-                    // Only the complete recording of a record without dates shows whether it is new.
+                    // Only the complete recording of a record without dates shows whether it is
+                    // new.
                     let path = match is_without_date(start_ns) && self.records.has(&stem) {
                         true => String::new(),
                         false => {
@@ -300,8 +301,8 @@ impl ReportsService {
                     required,
                 } => {
                     let why = format!(
-                        "only {found} frames have samples, at least {required} are required; the next \
-                         ones are tried"
+                        "only {found} frames have samples, at least {required} are required; the \
+                         next ones are tried"
                     );
                     for due in due {
                         self.announce_late(due.of_ns, due.after_s, &why).await?;
@@ -524,7 +525,8 @@ impl ReportsService {
                 format!("The earthquake of {of} is judged again {after} after it, at {at}.")
             } else {
                 format!(
-                    "The earthquake of {of} is judged again now, {after} after it, from weak motion."
+                    "The earthquake of {of} is judged again now, {after} after it, from weak \
+                     motion."
                 )
             });
         }
@@ -584,8 +586,8 @@ impl ReportsService {
     }
 }
 
-/// Waits until a query may be answered, and for the query. Further queries wait in the queue. The wait
-/// is cancel-safe.
+/// Waits until a query may be answered, and for the query. Further queries wait in the queue. The
+/// wait is cancel-safe.
 async fn next_question(
     questions: &Questions,
     replies: &Arc<Semaphore>,

@@ -323,8 +323,8 @@ impl Parties {
         }
     }
 
-    /// Reads `Unable to push non droppable network message to SESSION. …` or `RX task failed: HERE =>
-    /// ADDRESS:CONFIGURATION: expired after …`.
+    /// Reads `Unable to push non droppable network message to SESSION. …` or `RX task failed: HERE
+    /// => ADDRESS:CONFIGURATION: expired after …`.
     fn read_closed(&self, text: &str) -> Option<Refusal> {
         let closed = |who: String, why: &str| Refusal {
             refused: Refused::BusReader,
@@ -523,8 +523,8 @@ mod tests {
         };
         for (error, why) in [
             (
-                "TransportError(Error { code: Code::crypto(30), frame: None, reason: \"invalid peer \
-                 certificate: UnknownIssuer\" })",
+                "TransportError(Error { code: Code::crypto(30), frame: None, reason: \"invalid \
+                 peer certificate: UnknownIssuer\" })",
                 "invalid peer certificate: UnknownIssuer",
             ),
             ("TimedOut", "TimedOut"),
@@ -540,8 +540,9 @@ mod tests {
         let blocked = "Unable to push non droppable network message to ab12. Closing transport!";
         let (refused, who, _) = read(&mut parties, blocked).unwrap();
         assert_eq!((refused, who.as_str()), (Refused::BusReader, "ab12"));
-        let expired = "RX task failed: tcp/127.0.0.1:7447 => tcp/127.0.0.1:40001:TransportLinkUnicastConfig \
-                       { batch: X }: expired after 10000 milliseconds at /x/link.rs:531.";
+        let expired = "RX task failed: tcp/127.0.0.1:7447 => \
+                       tcp/127.0.0.1:40001:TransportLinkUnicastConfig { batch: X }: expired after \
+                       10000 milliseconds at /x/link.rs:531.";
         let (refused, who, _) = read(&mut parties, expired).unwrap();
         assert_eq!(
             (refused, who.as_str()),

@@ -266,13 +266,15 @@ fn verdict(parameter: &str, findings: &[FindingLine]) -> String {
 /// Returns the remedy for a finding, or `None` if the text of the finding states it.
 fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
     match finding {
-        Finding::NotObservable => Some("add damping to the model, or place a sensor where that mode moves".to_owned()),
+        Finding::NotObservable => Some("add damping to the model, or place a sensor where that \
+                                        mode moves".to_owned()),
         Finding::Uninformed { parameter, .. } => Some(format!(
             "place a sensor next to the part that {parameter} scales, measure for longer, or \
              remove the parameter and treat its value as known"
         )),
         Finding::ParametersConfounded { first, second, .. } => {
-            Some(format!("place a sensor between the parts that {first} and {second} scale, or use one parameter for both"))
+            Some(format!("place a sensor between the parts that {first} and {second} scale, or \
+                          use one parameter for both"))
         }
         Finding::LevelConfounded { parameter, level, .. } => {
             let is_excitation = |source: &NoiseSource| matches!(source, NoiseSource::Excitation(_));
@@ -283,18 +285,21 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
                      as accurate as that level"
                 )
             } else {
-                format!("calibrate the noise of {level}, or note that {parameter} is only as accurate as that level")
+                format!("calibrate the noise of {level}, or note that {parameter} is only as \
+                         accurate as that level")
             })
         }
         Finding::SlowToSettle { parameter, .. } => {
-            Some(format!("add a sensor that is more sensitive to {parameter}, or increase sustain-s of its alert rule"))
+            Some(format!("add a sensor that is more sensitive to {parameter}, or increase \
+                          sustain-s of its alert rule"))
         }
         Finding::RestsOnExcitation { parameter, excitations, .. } => Some(format!(
             "measure {excitations} on a channel (measured-on), or do not interpret smaller changes \
              of {parameter}"
         )),
         Finding::LevelAssumed { .. } => {
-            Some("identify the level (omit adapt), or declare it known (level-factor = 1)".to_owned())
+            Some("identify the level (omit adapt), or declare it known (level-factor = \
+                  1)".to_owned())
         }
         Finding::DampingAssumed { .. } => Some(
             "identify it by a [[parameter]] with scales = \"damping\" and of = \"all\", or declare \
@@ -306,13 +311,15 @@ fn advice(structure: &Structure, finding: &Finding) -> Option<String> {
              (design-std = 0.05)"
                 .to_owned(),
         ),
-        Finding::FewSensors { .. } => Some("measure the response at more places, or use fewer parameters".to_owned()),
+        Finding::FewSensors { .. } => Some("measure the response at more places, or use fewer \
+                                            parameters".to_owned()),
         Finding::HoldMatters { delay_s, .. } if *delay_s > 0.0 => Some(
             "omit input-hold unless the excitation is constant between samples, as in a \
              simulation; or sample faster"
                 .to_owned(),
         ),
-        Finding::HoldMatters { .. } => Some("sample faster, or limit the frequency band ([band-limit])".to_owned()),
+        Finding::HoldMatters { .. } => Some("sample faster, or limit the frequency band \
+                                             ([band-limit])".to_owned()),
         Finding::HastyLevel { .. }
         | Finding::ImplausiblePeriod { .. }
         | Finding::UnequalStoreys { .. }
@@ -396,7 +403,8 @@ impl CheckPage {
         }
         writeln!(
             f,
-            "\n  largest rate times time step (ω Δt) {rate_times_step:.3}: {} of {series_order} terms per step",
+            "\n  largest rate times time step (ω Δt) {rate_times_step:.3}: {} of {series_order} \
+             terms per step",
             match substeps {
                 1 => "1 series".to_owned(),
                 several => format!("{several} substeps, each a series"),
@@ -443,7 +451,8 @@ impl CheckPage {
             };
             writeln!(
                 f,
-                "  {name:width$}  {prior_mean:.3} ± {prior_std:.3}  {:>12}  {:>8}  {:>8}  {settles:>11}  {}",
+                "  {name:width$}  {prior_mean:.3} ± {prior_std:.3}  {:>12}  {:>8}  {:>8}  \
+                 {settles:>11}  {}",
                 deviation(*std_after),
                 deviation(*std_steady),
                 deviation(*std_reported),
@@ -463,7 +472,8 @@ impl CheckPage {
         let shown = self.modes.len().min(SENSITIVITIES_SHOWN);
         writeln!(
             f,
-            "\nsensitivity to a change of 1 %: static, of the natural frequencies (%); dynamic, of the data of one frame (in their\n\
+            "\nsensitivity to a change of 1 %: static, of the natural frequencies (%); dynamic, \
+             of the data of one frame (in their\n\
              standard deviations, rms)\n"
         )?;
         write!(f, "  {:width$}", "parameter")?;

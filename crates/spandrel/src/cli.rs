@@ -80,7 +80,8 @@ pub enum Command {
         after_help = "Example: spandrel history bridge.toml --connect quic/10.0.0.5:7447 --certificate NAME.pem"
     )]
     History(ServiceArguments),
-    /// Notify people of alerts, and of structures whose damage would go unnoticed, by webhook, Alertmanager and e-mail.
+    /// Notify people of alerts, and of structures whose damage would go unnoticed, by webhook,
+    /// Alertmanager and e-mail.
     #[command(
         after_help = "Examples: spandrel notify --config spandrel.toml\n          \
                             spandrel notify --config spandrel.toml --test"
@@ -232,8 +233,8 @@ impl Command {
         }
     }
 
-    /// Returns `true` for a process that many others may connect to. The worker of a node serves its
-    /// own sensor, and must stay small.
+    /// Returns `true` for a process that many others may connect to. The worker of a node serves
+    /// its own sensor, and must stay small.
     pub fn serves_many(&self) -> bool {
         let is_worker = matches!(self, Self::Identify(identify) if !identify.node.is_empty());
         self.audited().is_some() && !is_worker
@@ -470,7 +471,8 @@ pub struct AnnotateArguments {
     /// Mark the present lasting change as seen by you.
     #[arg(long, conflicts_with = "new_reference")]
     pub seen: bool,
-    /// Start a new reference at the time --from, and discard the commissioning and the lasting change.
+    /// Start a new reference at the time --from, and discard the commissioning and the lasting
+    /// change.
     ///
     /// Use it after the structure was changed on purpose. A new commissioning begins.
     #[arg(long)]
@@ -563,8 +565,8 @@ pub struct IdentifyArguments {
     pub node: Vec<String>,
     /// Stand by while another process identifies a structure, and take over if it fails.
     ///
-    /// Others consider this process failed after 2 s without a message from it, unless bus.lease_s is
-    /// set.
+    /// Others consider this process failed after 2 s without a message from it, unless bus.lease_s
+    /// is set.
     #[arg(long, conflicts_with = "node")]
     pub standby: bool,
 }
@@ -769,7 +771,8 @@ pub struct EarthquakeArguments {
     /// earthquakes, otherwise 0.05].
     #[arg(long, value_name = "SHARE", value_parser = below_1, allow_negative_numbers = true)]
     pub loss: Option<f64>,
-    /// Minimum probability at which a loss is reported [default: that of the table earthquakes, otherwise 0.99].
+    /// Minimum probability at which a loss is reported [default: that of the table earthquakes,
+    /// otherwise 0.99].
     #[arg(long, value_name = "PROBABILITY", value_parser = below_1, allow_negative_numbers = true)]
     pub credibility: Option<f64>,
 }
@@ -806,8 +809,8 @@ pub struct ModesArguments {
     /// Recordings of one structure, and optionally a structure file (.toml). With --live, structure
     /// files [default: structures of the configuration].
     ///
-    /// A recording is a file of any known format, or a zip archive or folder of such files. The files
-    /// of a folder are separate recordings if they have the same channels.
+    /// A recording is a file of any known format, or a zip archive or folder of such files. The
+    /// files of a folder are separate recordings if they have the same channels.
     #[arg(value_name = "FILE", required_unless_present = "live")]
     pub files: Vec<PathBuf>,
     /// Run the service that follows the natural frequencies of live samples.
@@ -842,8 +845,8 @@ pub struct ModesArguments {
     /// Highest order of the models [default: 40].
     #[arg(long, value_name = "ORDER")]
     pub order: Option<usize>,
-    /// Folder for the stabilisation diagram and the singular-value spectrum (SVG), and for the modes
-    /// with their shapes (JSON) and of each epoch (CSV).
+    /// Folder for the stabilisation diagram and the singular-value spectrum (SVG), and for the
+    /// modes with their shapes (JSON) and of each epoch (CSV).
     #[arg(long, value_name = "DIR")]
     pub report: Option<PathBuf>,
     /// Print one JSON object.
@@ -1044,7 +1047,8 @@ pub struct CheckArguments {
     /// Length of data for which to report standard deviations (s).
     #[arg(long, default_value_t = 60.0, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub after: f64,
-    /// Compare the sensors with each other in this recording instead of checking the design; may be repeated.
+    /// Compare the sensors with each other in this recording instead of checking the design; may be
+    /// repeated.
     #[arg(long, value_name = "RECORD", group = "data", conflicts_with = "after")]
     pub record: Vec<PathBuf>,
     /// Compare the sensors with each other in SECONDS of live data instead.

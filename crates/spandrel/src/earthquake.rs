@@ -1,4 +1,5 @@
-//! `spandrel earthquake` and the service `reports`: from recordings of earthquakes to a report of each event.
+//! `spandrel earthquake` and the service `reports`: from recordings of earthquakes to a report of
+//! each event.
 //!
 //! - [`event_record`]: a recording with the figures of its channels
 //! - [`identified`]: its stiffnesses, frame by frame, and the displacements of the model

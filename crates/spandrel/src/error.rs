@@ -96,7 +96,8 @@ pub enum AppError {
     )]
     NoStructure,
     /// Two structure files have the same structure name.
-    #[error("{} and {} both name their structure `{name}`, names must differ", first.display(), second.display())]
+    #[error("{} and {} both name their structure `{name}`, names must \
+             differ", first.display(), second.display())]
     SameStructure {
         /// The name.
         name: String,
@@ -106,7 +107,8 @@ pub enum AppError {
         second: PathBuf,
     },
     /// The configuration has a baseline for an unknown structure.
-    #[error("{} is the baseline of unknown structure `{name}`, must be one of: {known}", path.display())]
+    #[error("{} is the baseline of unknown structure `{name}`, must be one of: \
+             {known}", path.display())]
     BaselineOfNone {
         /// Name of the unknown structure.
         name: String,
@@ -190,7 +192,8 @@ pub enum AppError {
         known: String,
     },
     /// A certificate is for a structure that was not given.
-    #[error("certificate {party} is for a structure that was not given; given: {}", if known.is_empty() { "none" } else { known })]
+    #[error("certificate {party} is for a structure that was not given; given: \
+             {}", if known.is_empty() { "none" } else { known })]
     CertificateOfNone {
         /// Common name in the certificate.
         party: String,
@@ -198,7 +201,8 @@ pub enum AppError {
         known: String,
     },
     /// The certificate does not grant the rights that the subcommand needs.
-    #[error("certificate {} does not permit this: {why}; the router would silently drop forbidden messages", certificate.display())]
+    #[error("certificate {} does not permit this: {why}; the router would silently drop forbidden \
+             messages", certificate.display())]
     WrongRole {
         /// Path of the certificate.
         certificate: PathBuf,
@@ -257,7 +261,8 @@ pub enum AppError {
     History(#[from] HistoryError),
     /// The history was requested, but the configuration switches it off.
     #[error(
-        "the history is switched off: history.database is none, must be a file, sqlite:FILE or postgres://…"
+        "the history is switched off: history.database is none, must be a file, sqlite:FILE or \
+         postgres://…"
     )]
     NoHistory,
     /// Identification or alerts were requested, but no structure has a model.
@@ -327,9 +332,9 @@ pub enum AppError {
     NoStateFolder,
     /// The matrices of `spandrel check` would take too much memory.
     #[error(
-        "{}: a check of {unknowns} parameters and noise levels with {channels} channels takes about \
-         {found_mb} MB of memory, must take at most {most_mb} MB; leave out parameters or sensors \
-         in a copy of the file",
+        "{}: a check of {unknowns} parameters and noise levels with {channels} channels takes \
+         about {found_mb} MB of memory, must take at most {most_mb} MB; leave out parameters or \
+         sensors in a copy of the file",
         path.display()
     )]
     CheckTooLarge {
@@ -398,8 +403,8 @@ pub enum AppError {
     },
     /// Judge does not run, or has not kept an annotation.
     #[error(
-        "no confirmation from judge within {within_s} s; check that it runs for this structure, and \
-         that the quantity is judged"
+        "no confirmation from judge within {within_s} s; check that it runs for this structure, \
+         and that the quantity is judged"
     )]
     NoAnswerOfJudge {
         /// The time limit, s.
@@ -410,7 +415,8 @@ pub enum AppError {
     NothingMeasured,
     /// A page was requested, but the configuration switches it off.
     #[error(
-        "the page is switched off: --http or dashboard.listen is none, must be an address such as 127.0.0.1:8080"
+        "the page is switched off: --http or dashboard.listen is none, must be an address such as \
+         127.0.0.1:8080"
     )]
     NoPage,
     /// A simulated or replayed sensor failed.
@@ -462,7 +468,8 @@ pub enum AppError {
         failed: usize,
     },
     /// The output file is also an input.
-    #[error("{}: is an input of this command and would be overwritten; use another output file", path.display())]
+    #[error("{}: is an input of this command and would be overwritten; use another output \
+             file", path.display())]
     WouldOverwrite {
         /// Path of the file.
         path: PathBuf,
@@ -508,8 +515,8 @@ pub enum AppError {
     },
     /// The excitation or the response of a recording is unknown for most of the time.
     #[error(
-        "{}: {what} missing, faulty or in doubt for {:.0} % of the time, at most {:.0} % are allowed; \
-         check the sensors with spandrel check --record",
+        "{}: {what} missing, faulty or in doubt for {:.0} % of the time, at most {:.0} % are \
+         allowed; check the sensors with spandrel check --record",
         path.display(), 100.0 * share, 100.0 * largest
     )]
     BaselineUnmeasured {
@@ -523,7 +530,8 @@ pub enum AppError {
         largest: f64,
     },
     /// No recording is usable for a baseline.
-    #[error("none of the {} recordings is usable for a baseline:\n  {}", reasons.len(), reasons.join("\n  "))]
+    #[error("none of the {} recordings is usable for a baseline:\n  \
+             {}", reasons.len(), reasons.join("\n  "))]
     NoUsableRecordings {
         /// Reason for each recording, with its path.
         reasons: Vec<String>,
@@ -587,8 +595,8 @@ pub enum AppError {
     },
     /// The samples of a recording lie too far apart in time.
     #[error(
-        "{}: {samples} samples of a channel over {steps} time steps, must cover at least 1 % of them; \
-         check the times, or leave channels out with --without", path.display()
+        "{}: {samples} samples of a channel over {steps} time steps, must cover at least 1 % of \
+         them; check the times, or leave channels out with --without", path.display()
     )]
     TooSparse {
         /// Path of the recording.
@@ -600,7 +608,8 @@ pub enum AppError {
     },
     /// No mode of a recording was found.
     #[error(
-        "{}: no mode found; choose a longer --epoch, another --band, or a recording with more motion",
+        "{}: no mode found; choose a longer --epoch, another --band, or a recording with more \
+         motion",
         path.display()
     )]
     NoMode {
@@ -624,7 +633,8 @@ pub enum AppError {
     },
     /// Two recordings would have the same report.
     #[error(
-        "{} and {} both start at the same time, so that both reports would be {event}; give one of them",
+        "{} and {} both start at the same time, so that both reports would be {event}; give one \
+         of them",
         first.display(), second.display()
     )]
     SameEvent {
@@ -819,7 +829,8 @@ mod tests {
 
     #[test]
     fn source_locations_of_zenoh_are_removed() {
-        let told = "No such file (os error 2) at /root/.cargo/zenoh-config-1.10.2/src/lib.rs:1507. - Caused by x at a.rs:3.";
+        let told = "No such file (os error 2) at \
+                    /root/.cargo/zenoh-config-1.10.2/src/lib.rs:1507. - Caused by x at a.rs:3.";
         assert_eq!(
             without_source_places(told),
             "No such file (os error 2) - Caused by x"

@@ -199,7 +199,8 @@ fn write_late_reference(f: &mut fmt::Formatter<'_>, course: &[&Judgement]) -> fm
     match &first.state {
         State::NotReady { missing } if learnt.day > first.day => writeln!(
             f,
-            "  reference not ready on {}: {missing}; the commissioning was extended by {} days, to {}",
+            "  reference not ready on {}: {missing}; the commissioning was extended by {} days, \
+             to {}",
             date(first.day),
             learnt.day - first.day,
             date(learnt.day)
@@ -246,8 +247,8 @@ pub fn report_text(settings: &Settings, reports: &[QuantityReport]) -> String {
 fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
     let performance = &reference.performance;
     let mut text = format!(
-        "{quantity}: reference of {} to {}, scatter {:.2} % a day, correlation {:.2} between days\n  \
-         coverage of the 95 % interval in the commissioning: {:.0} %\n",
+        "{quantity}: reference of {} to {}, scatter {:.2} % a day, correlation {:.2} between \
+         days\n  coverage of the 95 % interval in the commissioning: {:.0} %\n",
         date(reference.from_day),
         date(reference.to_day),
         100.0 * reference.scatter,

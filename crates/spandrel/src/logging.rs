@@ -10,8 +10,8 @@ use tracing_subscriber::{EnvFilter, Layer as _, fmt, registry};
 
 /// Starts logging.
 ///
-/// The default level is warnings, and `-v` raises it. `RUST_LOG` overrides both. With `audited`, the
-/// log also reports what Zenoh refuses.
+/// The default level is warnings, and `-v` raises it. `RUST_LOG` overrides both. With `audited`,
+/// the log also reports what Zenoh refuses.
 pub fn start(format: LogFormat, verbose: u8, audited: Option<Scope>) {
     let level = match verbose {
         // Scripts wait for the line that reports the services as ready.

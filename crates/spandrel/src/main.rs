@@ -52,7 +52,8 @@ fn main() -> ExitCode {
     };
     logging::start(arguments.log, arguments.verbose, scope);
     if let Err(error) = threads {
-        warn!(%error, "cannot start Zenoh with more threads; suspended subscribers delay all others");
+        warn!(%error, "cannot start Zenoh with more threads; suspended subscribers delay all \
+                       others");
     }
     let ended = commands::run(arguments.command);
     bus_audit::finish();

@@ -12,9 +12,9 @@
 //!   range in which it is first looked for, `frequency_std_hz` (the smallest standard deviation of
 //!   one epoch at a damping ratio of `damping`), `stiffness_std` (the share of the stiffness that
 //!   corresponds to it), and whether it is `judged`
-//! - `parameters`: the stiffnesses that the modes update, with `name`, `change_std` (standard deviation
-//!   of the relative change that one epoch shows), and `smallest_loss` (the loss that one epoch shows
-//!   with a probability of 0.99 in half of the cases; null if the modes do not see it)
+//! - `parameters`: the stiffnesses that the modes update, with `name`, `change_std` (standard
+//!   deviation of the relative change that one epoch shows), and `smallest_loss` (the loss that one
+//!   epoch shows with a probability of 0.99 in half of the cases; null if the modes do not see it)
 //! - `can_tell`, `cannot_tell`, `warnings`: sentences
 
 use crate::commands::counted;
@@ -172,8 +172,8 @@ impl ModalCheckPage {
             .collect();
         if !has_shapes {
             self.warnings.push(
-                "the channels measure different derivatives of the motion, so that only frequencies \
-                 update the stiffnesses"
+                "the channels measure different derivatives of the motion, so that only \
+                 frequencies update the stiffnesses"
                     .to_owned(),
             );
         }
@@ -376,7 +376,8 @@ impl ModalCheckPage {
         }
         writeln!(
             f,
-            "\n  least seen: loss that one epoch shows with a probability of {} in half of the cases",
+            "\n  least seen: loss that one epoch shows with a probability of {} in half of the \
+             cases",
             UpdatePrecision::found_at(),
         )
     }
@@ -462,8 +463,8 @@ mod tests {
     fn rules_that_no_filter_serves_are_named() {
         let updated = include_str!("../../../docs/examples/modes/stiffness.toml");
         let text = page(updated).to_string();
-        let told = "does not identify: alerts: 1 rule [[alert]] on storey-1, storey-2, storey-3, storey-4, \
-                    storey-5 decides nothing live, because no filter runs";
+        let told = "does not identify: alerts: 1 rule [[alert]] on storey-1, storey-2, storey-3, \
+                    storey-4, storey-5 decides nothing live, because no filter runs";
         assert!(text.contains(told), "{text}");
         assert!(!page(SENSORS_ONLY).to_string().contains("alerts:"));
     }

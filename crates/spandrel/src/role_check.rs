@@ -110,7 +110,8 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
     if bus.reaches_a_router().await {
         return Err(AppError::WrongRole { certificate, why });
     }
-    warn!(certificate = %certificate.display(), why, "a router of the site would drop the messages of this process");
+    warn!(certificate = %certificate.display(), why, "a router of the site would drop the \
+                                                      messages of this process");
     Ok(())
 }
 

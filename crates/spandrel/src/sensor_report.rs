@@ -38,8 +38,9 @@ pub struct SensorPage {
 
 /// The last judgement of each channel of a frame.
 ///
-/// [`SensorCheck`] discards the judgement of a channel as soon as it has no samples. The channels of
-/// a recording rarely end together, so that the end alone would leave a long recording unchecked.
+/// [`SensorCheck`] discards the judgement of a channel as soon as it has no samples. The channels
+/// of a recording rarely end together, so that the end alone would leave a long recording
+/// unchecked.
 struct Judgements {
     health: Vec<Option<ChannelHealth>>,
     /// As [`SensorCheck::required_s`]. `None` once the data were long enough.

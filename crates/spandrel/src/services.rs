@@ -534,7 +534,8 @@ impl Running {
         Ok(())
     }
 
-    /// Starts the alert service of each structure that a filter estimates, with its baseline if there is one.
+    /// Starts the alert service of each structure that a filter estimates, with its baseline if
+    /// there is one.
     ///
     /// # Errors
     /// An instance cannot start.

@@ -300,7 +300,8 @@ mod tests {
 
     #[test]
     fn options_precede_variables_file_and_defaults() {
-        let file = "threads = 3\nstructures = [\"a.toml\"]\n[bus]\nroot = \"from-file\"\nlisten = [\"tcp/127.0.0.1:1\"]\n";
+        let file = "threads = 3\nstructures = [\"a.toml\"]\n[bus]\nroot = \"from-file\"\n\
+                    listen = [\"tcp/127.0.0.1:1\"]\n";
         let variables = [
             ("SPANDREL_BUS__ROOT", "from-variable"),
             ("SPANDREL_BUS__LISTEN", "tcp/127.0.0.1:2"),

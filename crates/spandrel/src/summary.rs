@@ -50,8 +50,8 @@ pub struct Summary {
     pub misfit: Option<f64>,
     /// Warnings that require attention.
     pub warnings: Vec<String>,
-    /// Whether alerts of a watched parameter are undecided at the end, or were so for more than half
-    /// of the time. A warning states the reason.
+    /// Whether alerts of a watched parameter are undecided at the end, or were so for more than
+    /// half of the time. A warning states the reason.
     #[serde(skip)]
     pub is_undecided: bool,
     /// Final state and changes of the model classes. `None` if there is a single model.
@@ -227,8 +227,8 @@ impl Collector {
         self.effective_share = share;
     }
 
-    /// Records the mean relation of each channel to the others, and the channels that are in doubt or
-    /// faulty at the end (indices in a frame).
+    /// Records the mean relation of each channel to the others, and the channels that are in doubt
+    /// or faulty at the end (indices in a frame).
     pub fn take_sensors(&mut self, observed: Vec<Option<ObservedRelation>>, suspected: Vec<usize>) {
         self.observed = observed;
         self.suspected = suspected;

@@ -52,7 +52,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let without_misfit = median_step(&structure, structure.model(), trusting)?;
         let by_operator = median_step(&structure, ByOperator(structure.model()), settings)?;
         println!(
-            "{name}, n = {n}: {by_structure:?}, without the measure of misfit {without_misfit:?}, by operator {by_operator:?}"
+            "{name}, n = {n}: {by_structure:?}, without the measure of misfit {without_misfit:?}, \
+             by operator {by_operator:?}"
         );
     }
     Ok(())

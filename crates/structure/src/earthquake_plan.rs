@@ -8,7 +8,8 @@ pub struct EarthquakePlan {
     pub channels: Vec<usize>,
     /// Acceleration above which motion is an earthquake (m/s²).
     pub trigger_m_per_s2: f64,
-    /// Acceleration above which motion is strong (m/s²). Only weaker motion can show a lasting loss.
+    /// Acceleration above which motion is strong (m/s²). Only weaker motion can show a lasting
+    /// loss.
     pub strong_m_per_s2: f64,
     /// Loss of stiffness that matters, as a share.
     pub loss: f64,

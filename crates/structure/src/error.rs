@@ -15,7 +15,8 @@ pub enum StructureError {
         source: std::io::Error,
     },
     /// The path leads to a folder, a pipe, a device or a socket.
-    #[error("{}: is a folder, a pipe, a device or a socket, must be a regular file", path.display())]
+    #[error("{}: is a folder, a pipe, a device or a socket, must be a regular \
+             file", path.display())]
     NotAFile {
         /// Path of the requested file.
         path: PathBuf,

@@ -51,14 +51,14 @@ impl Information {
             structure.observation_channels.len(),
             2 * structure.most_shapes(),
         );
-        // The derivative by an unknown has two covariances of the data, two gains, and the effect of
-        // the motion on state and data.
+        // The derivative by an unknown has two covariances of the data, two gains, and the effect
+        // of the motion on state and data.
         let of_filter = 2 * rows * rows + 2 * states * rows + (states + rows) * states;
         // The derivatives of the data of a block are there twice, for a parameter also as the
         // extended filter sees them.
         let of_block = 2 * BLOCK as usize * rows * (unknowns + parameters);
-        // Measured checks of 100 and of 240 parameters and channels took 20 and 8 % more: the program,
-        // and the products of each thread.
+        // Measured checks of 100 and of 240 parameters and channels took 20 and 8 % more: the
+        // program, and the products of each thread.
         (unknowns * of_filter + of_block) * size_of::<f64>() * 6 / 5
     }
 

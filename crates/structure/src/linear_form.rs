@@ -145,7 +145,8 @@ impl LinearForm {
                 Motion::Velocity => observed.columns_mut(width, width).copy_from(&shape),
                 Motion::Acceleration(dof) => {
                     observed.copy_from(&(&shape * system.rows(width, width)));
-                    // What the sensor does not feel, such as the ground motion, is left out as it is.
+                    // What the sensor does not feel, such as the ground motion, is left out as it
+                    // is.
                     let felt = self.direct.row(row) - self.input.row(free + dof);
                     let moved = shape * input.rows(width, width) + felt;
                     self.direct.set_row(row, &moved);

@@ -373,7 +373,8 @@ impl StructureModel {
         self.fixed.drive()
     }
 
-    /// Returns what each response senses: the motion, and the degrees of freedom with their factors.
+    /// Returns what each response senses: the motion, and the degrees of freedom with their
+    /// factors.
     pub(crate) fn sensed(&self) -> impl Iterator<Item = (Motion, Vec<(usize, f64)>)> {
         self.responses.iter().map(Response::sensed)
     }

@@ -91,7 +91,8 @@ impl Structure {
     fn basis(&self, most: usize) -> RitzBasis {
         let mass = self.system.mass.to_dense();
         // In the coordinates of all modes, M is the identity. Only the damping may couple them, and
-        // this coupling is neglected here: the shapes need to span the responses, not to state them.
+        // this coupling is neglected here: the shapes need to span the responses, not to state
+        // them.
         let squares = self.squared_responses(&mass);
         let eigen = SymmetricEigen::new(squares);
         let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
@@ -128,8 +129,9 @@ impl Structure {
         (soft - in_modes * kept).transpose()
     }
 
-    /// Returns `Σ w a aᵀ` over the responses `a` (in modes) to all forces at all frequencies, and at
-    /// rest. The weights `w` make the sum of squares one for each force, and for each force at rest.
+    /// Returns `Σ w a aᵀ` over the responses `a` (in modes) to all forces at all frequencies, and
+    /// at rest. The weights `w` make the sum of squares one for each force, and for each force at
+    /// rest.
     ///
     /// The modes respond to every force `l` (in modes) by the same receptances `h(ω)`, so that the
     /// sum over the frequencies is `(l lᵀ) ∘ G` with `G = Re Σ w h hᴴ`.
@@ -483,7 +485,8 @@ mod tests {
     }
 
     /// Regression tests: without the motion outside of the shapes, the deviations are too large. If
-    /// its error differs between the model and the truth, the damping seems to shift the parameters.
+    /// its error differs between the model and the truth, the damping seems to shift the
+    /// parameters.
     #[test]
     fn a_sensor_for_each_parameter_needs_the_motion_outside_of_the_shapes() {
         let group = |number: usize| {

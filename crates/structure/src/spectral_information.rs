@@ -116,8 +116,8 @@ impl<'s> SpectralModel<'s> {
     /// Sums the information of the model about `directions` over all frequencies, for data from
     /// `truth`.
     ///
-    /// The parameters come first in `directions`. If `truth` is `None`, the model is right. The result is `None` if some frequency has no
-    /// finite response.
+    /// The parameters come first in `directions`. If `truth` is `None`, the model is right. The
+    /// result is `None` if some frequency has no finite response.
     pub(crate) fn sums(&self, truth: Option<&Self>, directions: &[Direction]) -> Option<Sums> {
         let mut products = DMatrix::zeros(directions.len() + 1, directions.len() + 1);
         let mut misfit = 0.0;
@@ -218,7 +218,8 @@ impl<'s> SpectralModel<'s> {
     /// excitation leaves unexplained.
     ///
     /// The terms are products of real columns. All matrices are seen through `V`. `V ∂Φ Vᴴ` of a
-    /// parameter is then zero outside its first N_f rows and columns, and no more of it is computed.
+    /// parameter is then zero outside its first N_f rows and columns, and no more of it is
+    /// computed.
     fn products(
         &self,
         truth: Option<&Self>,

@@ -4,8 +4,8 @@
 //! `(s I − A_u) U = B_u` and `G = H U + D` at `s = iω`, with the matrices of [`LinearForm`]. A
 //! derivative with respect to a parameter is `∂G = ∂H U + W (∂A_u U + ∂B_u) + ∂D` with
 //! `W = H (s I − A_u)⁻¹`. With `u = [x, v]` and `A_u = [0, A_xv; A_vx, A_vv]`, one factor of
-//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) gives both `U` and `W`. Time is continuous: the hold
-//! of an excitation over a step, and modes above half the sampling rate, are neglected.
+//! `Z = s I − A_vv − A_vx A_xv / s` (N_d × N_d) gives both `U` and `W`. Time is continuous: the
+//! hold of an excitation over a step, and modes above half the sampling rate, are neglected.
 
 use crate::linear_form::LinearForm;
 use crate::model::StructureModel;

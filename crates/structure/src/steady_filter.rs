@@ -6,8 +6,8 @@
 //! direct term `D`. The noises of the state and of the datum are then correlated. The covariance of
 //! the prediction solves `P = A P Aᵀ + B Σ_f Bᵀ − K S Kᵀ` and is computed by doubling.
 //!
-//! With `Ā = A − K H` and `B̄ = B − K D`, this equation is `P = Ā P Āᵀ + B̄ Σ_f B̄ᵀ + K Σ_n Kᵀ`. The
-//! gain minimises `P`, so that a small change of the gain does not change it. The derivative is
+//! With `Ā = A − K H` and `B̄ = B − K D`, this equation is `P = Ā P Āᵀ + B̄ Σ_f B̄ᵀ + K Σ_n Kᵀ`.
+//! The gain minimises `P`, so that a small change of the gain does not change it. The derivative is
 //! therefore the solution of `∂P = Ā ∂P Āᵀ + W`, where `W` contains the derivatives of all matrices
 //! at a constant gain.
 

@@ -87,8 +87,8 @@ pub struct Structure {
     pub(crate) modes: Arc<Modes>,
 }
 
-/// Maximum size of a structure file (bytes). A thousand storeys with a parameter and a node each take
-/// about a third of it. The list of mistakes can take a hundred times the size of the file.
+/// Maximum size of a structure file (bytes). A thousand storeys with a parameter and a node each
+/// take about a third of it. The list of mistakes can take a hundred times the size of the file.
 const MAX_BYTES: u64 = 1 << 20;
 
 impl Structure {
@@ -173,7 +173,8 @@ impl Structure {
         self.has_model() && !is_updated
     }
 
-    /// Returns the names of the degrees of freedom, in the order of the state. Empty without a model.
+    /// Returns the names of the degrees of freedom, in the order of the state. Empty without a
+    /// model.
     #[must_use]
     pub fn degrees_of_freedom(&self) -> &[String] {
         &self.system.degrees_of_freedom

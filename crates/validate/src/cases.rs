@@ -146,7 +146,8 @@ static CASES: [Case; 29] = [
     },
     Case {
         name: "noise-ekf.bouc-wen.3",
-        title: "Five-mass chain whose springs yield, noise levels identified: ground motion and sensor noise swell",
+        title: "Five-mass chain whose springs yield, noise levels identified: ground motion and \
+                sensor noise swell",
         source: BOOK_3,
         weight: 12.0,
         run: noise_bouc_wen::both_swell,
@@ -181,7 +182,8 @@ static CASES: [Case; 29] = [
     },
     Case {
         name: "class.high-rise",
-        title: "Fifty-storey building, five model classes with more and more of its storeys taken singly",
+        title: "Fifty-storey building, five model classes with more and more of its storeys taken \
+                singly",
         source: BOOK_5,
         weight: 100.0,
         run: class_high_rise::run,
@@ -230,7 +232,8 @@ static CASES: [Case; 29] = [
     },
     Case {
         name: "asynchronous.feedback",
-        title: "The same truss: what nodes send of the covariance, and what they do with the answer",
+        title: "The same truss: what nodes send of the covariance, and what they do with the \
+                answer",
         source: BOOK_7,
         weight: 600.0,
         run: feedback::truss,

@@ -39,7 +39,8 @@ pub(crate) static CASES: &[Case] = &[
     },
     Case {
         name: "judge.sound-years-120",
-        title: "Sound structures, judged for a year after a commissioning of 120 days in any season",
+        title: "Sound structures, judged for a year after a commissioning of 120 days in any \
+                season",
         source: SOURCE,
         weight: 60.0,
         run: |run| sound(run, Site::Slender, 120, run.pick(400, 8)),

@@ -126,8 +126,8 @@ impl Mean {
     }
 }
 
-/// Returns the larger of two values. Unlike [`f64::max`], it returns NaN if one of them is NaN, so that a
-/// fold over values contains an unknown one.
+/// Returns the larger of two values. Unlike [`f64::max`], it returns NaN if one of them is NaN, so
+/// that a fold over values contains an unknown one.
 pub(crate) fn larger(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() {
         f64::NAN

@@ -65,7 +65,8 @@ impl Decision {
         }
     }
 
-    /// Announces softening again when the strong motion has ended, because its amplitude is now known.
+    /// Announces softening again when the strong motion has ended, because its amplitude is now
+    /// known.
     pub(super) fn revise_softening(&mut self, has_calmed: bool, alerts: &mut Vec<Alert>) {
         let last = self.last_alert.as_ref();
         let is_soft = last.is_some_and(|last| last.state == AlertState::SofteningInMotion);

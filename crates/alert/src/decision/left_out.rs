@@ -1,11 +1,11 @@
 //! The reference of a parameter while a sensor is left out, learnt from the estimates without it.
 //!
-//! If the model is wrong, the estimate changes as soon as a sensor is left out. A reference that was
-//! learnt with this sensor then no longer applies, so the rule learns another one from a span without
-//! it. A later loss is a loss against this reference.
+//! If the model is wrong, the estimate changes as soon as a sensor is left out. A reference that
+//! was learnt with this sensor then no longer applies, so the rule learns another one from a span
+//! without it. A later loss is a loss against this reference.
 //!
-//! A loss that has occurred together with the fault of the sensor looks like the change that the model
-//! causes. A span whose estimates may show a loss of the rule is therefore no reference.
+//! A loss that has occurred together with the fault of the sensor looks like the change that the
+//! model causes. A span whose estimates may show a loss of the rule is therefore no reference.
 
 use spandrel_bus::Excluded;
 
@@ -37,8 +37,8 @@ impl LeftOut {
         }
     }
 
-    /// Returns `true` if estimates count as less certain, because no reference without the sensors is
-    /// known.
+    /// Returns `true` if estimates count as less certain, because no reference without the sensors
+    /// is known.
     pub(super) fn widens(&self) -> bool {
         self.excluded != Excluded::None && self.reference.is_none()
     }

@@ -380,8 +380,8 @@ fn alert_states_part_loss_probability_and_start() {
     drive.estimates(61..72, 0.858, 0.011);
     assert_eq!(
         drive.alerts[1].why,
-        "storey-2 has lost 14.2 % of its stiffness (95 % interval 12.0 to 16.4 %), more than 5 % with probability above \
-         0.999, since 61.00 s"
+        "storey-2 has lost 14.2 % of its stiffness (95 % interval 12.0 to 16.4 %), more than 5 % \
+         with probability above 0.999, since 61.00 s"
     );
     drive.acknowledge();
     assert!(

@@ -6,13 +6,15 @@ use crate::Acknowledged;
 use std::path::Path;
 
 const TOWER: &str = include_str!("../../tests/tower.toml");
-const RULE: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\ncredibility = 0.95\nsustain-s = 0.5\n";
+const RULE: &str = "[[alert]]\nparameters = \"all\"\nreference.design-std = 1e-9\nloss = 0.05\n\
+                    credibility = 0.95\nsustain-s = 0.5\n";
 
 /// Returns the tower file with both storeys identified and these alert rules.
 fn tower(rules: &str) -> String {
     let without_rule = TOWER.split("[[alert]]").next().unwrap();
     format!(
-        "{without_rule}{rules}[[parameter]]\nname = \"storey-2\"\nscales = \"stiffness\"\nof = [\"storey-2\"]\nstd = 0.2\n"
+        "{without_rule}{rules}[[parameter]]\nname = \"storey-2\"\nscales = \"stiffness\"\n\
+         of = [\"storey-2\"]\nstd = 0.2\n"
     )
 }
 
@@ -137,7 +139,8 @@ fn checkpoint_read_under_the_same_rules_is_not_a_change() {
     assert!(!state.is_stored_like(&read));
 }
 
-/// A service of version 4 has resumed from the checkpoint of 0.1.0, and published its unsent alerts.
+/// A service of version 4 has resumed from the checkpoint of 0.1.0, and published its unsent
+/// alerts.
 #[test]
 fn state_of_version_4_holds_what_its_service_had_read() {
     let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kept");

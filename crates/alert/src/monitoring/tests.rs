@@ -241,7 +241,8 @@ fn reason_of_the_structure_and_of_all_its_parameters_is_named_once() {
     let display = bench.judge(Duration::ZERO);
     assert_eq!(
         display.words(),
-        "blind: the sensors measure different motions: their motion is too weak to compare, or a sensor is faulty"
+        "blind: the sensors measure different motions: their motion is too weak to compare, or a \
+         sensor is faulty"
     );
 }
 

@@ -592,8 +592,8 @@ fn states_without_sensor(course: &[(f64, u64, Excluded)]) -> Vec<AlertState> {
     states
 }
 
-/// Regression test: without a baseline, 15 % were added to the deviation for as long as a sensor was
-/// left out, so that a rule of 5 % never decided again.
+/// Regression test: without a baseline, 15 % were added to the deviation for as long as a sensor
+/// was left out, so that a rule of 5 % never decided again.
 #[test]
 fn loss_without_a_sensor_is_raised_once_the_change_without_it_is_measured() {
     use AlertState::{Cleared, Learning, Normal, Pending, Raised, Undecided};

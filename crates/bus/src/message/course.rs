@@ -105,8 +105,8 @@ pub struct JudgementCourse {
     /// Annotations of the quantity by people, in the order of their arrival. They are not limited
     /// to the requested span.
     pub annotations: Vec<Annotation>,
-    /// The days of the span, in chronological order. If the reply cannot contain all, it contains the
-    /// last ones.
+    /// The days of the span, in chronological order. If the reply cannot contain all, it contains
+    /// the last ones.
     pub rows: Vec<CourseRow>,
 }
 

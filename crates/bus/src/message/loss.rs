@@ -64,7 +64,8 @@ impl LossDisplay {
     pub fn words(&self) -> String {
         let [loss, low, high] = per_cents([self.loss, self.interval.low, self.interval.high]);
         format!(
-            "loss {loss} % ({:.0} % interval {low} to {high} %), more than {} % with probability {}",
+            "loss {loss} % ({:.0} % interval {low} to {high} %), more than {} % with probability \
+             {}",
             100.0 * self.interval.level,
             per_cent(self.rule_loss),
             self.shown_probability(),

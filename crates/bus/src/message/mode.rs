@@ -59,8 +59,8 @@ pub struct ModeEstimate {
     pub damping: f64,
     /// Standard deviation of the damping ratio.
     pub damping_std: f64,
-    /// Shape at the channels that take part in the epoch. The channel with the largest amplitude has
-    /// the value 1.
+    /// Shape at the channels that take part in the epoch. The channel with the largest amplitude
+    /// has the value 1.
     pub shape: Vec<ShapeValue>,
     /// Standard deviation of the samples in the band of the mode, at the channel with the largest
     /// amplitude, in the unit of the channel.

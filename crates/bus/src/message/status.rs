@@ -164,8 +164,8 @@ pub struct Status {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub instruments: BTreeMap<String, InstrumentStatus>,
     /// When the nodes sample. Only ingest reports it. It contains nodes that do not sample at the
-    /// times of the frames, and nodes whose clock differs from that of most nodes. Nodes whose source
-    /// states the quality of its clock are there as well.
+    /// times of the frames, and nodes whose clock differs from that of most nodes. Nodes whose
+    /// source states the quality of its clock are there as well.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub clocks: BTreeMap<Name, NodeClock>,
     /// Share of the last 5 s of frames without a sample of the channel, by channel, 0 to 1. Only

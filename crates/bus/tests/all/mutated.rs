@@ -254,7 +254,8 @@ fn encoded() -> Vec<(&'static str, Vec<u8>)> {
         text::<JudgementDisplay>(
             "{\"structure\":\"demo\",\"quantity\":\"storey-2\",\"time_ns\":9,\"day_ns\":0,\"epoch_ns\":8,\"epochs\":96,\"measured\":true,\
              \"state\":\"judged\",\"change\":{\"kind\":\"lasting-loss\",\"found_ns\":0,\"since_ns\":0,\"loss\":0.05,\
-             \"interval\":{\"level\":0.95,\"low\":0.04,\"high\":0.06}},\"sentence\":\"storey-2 has lost 5 % of stiffness.\",\
+             \"interval\":{\"level\":0.95,\"low\":0.04,\"high\":0.06}},\"sentence\":\"storey-2 \
+             has lost 5 % of stiffness.\",\
              \"expectation\":{\"measured\":0.95,\"expected\":1.0,\"interval\":{\"level\":0.95,\"low\":0.98,\"high\":1.02},\
              \"residual\":-3.0,\"ln_evidence\":9.0,\"ln_threshold\":8.2,\"cusum_share\":1.1},\
              \"false_alarms_per_year\":0.1}",
@@ -265,7 +266,8 @@ fn encoded() -> Vec<(&'static str, Vec<u8>)> {
              \"commissioning_days\":365,\"reference\":{\"from_ns\":0,\"to_ns\":9,\"coverage\":0.95,\"scatter\":0.001,\
              \"knows_frost\":true,\"promised_per_year\":0.1,\"achieved_per_year\":0.05,\
              \"delays\":[{\"loss\":0.05,\"median_days\":6,\"found_in_a_month\":0.99}]},\"kept_from_ns\":0,\"annotations\":[],\
-             \"rows\":[{\"day_ns\":0,\"state\":\"judged\",\"change\":null,\"sentence\":\"storey-2 shows no lasting change.\",\
+             \"rows\":[{\"day_ns\":0,\"state\":\"judged\",\"change\":null,\"sentence\":\"storey-2 \
+             shows no lasting change.\",\
              \"epochs\":96,\"measured\":0.95,\"conditions\":[14.74],\"expectation\":{\"measured\":0.95,\"expected\":1.0,\
              \"interval\":{\"level\":0.95,\"low\":0.9,\"high\":1.1},\"residual\":-1.0,\"ln_evidence\":1.0,\
              \"ln_threshold\":8.2,\"cusum_share\":0.1}},{\"day_ns\":86400000000000,\"state\":\"no-statement\",\

@@ -242,7 +242,8 @@ fn the_history_is_not_queried_for_series_that_it_does_not_store() {
     assert_eq!(kinds, ["loss"]);
 }
 
-/// Regression test: the loss begins after the reference was learnt, and hid the estimates before it.
+/// Regression test: the loss begins after the reference was learnt, and hid the estimates before
+/// it.
 #[test]
 fn a_series_that_begins_later_does_not_hide_the_others() {
     let mut store = demo();

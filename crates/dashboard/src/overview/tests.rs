@@ -845,8 +845,8 @@ fn a_model_that_natural_frequencies_update_is_a_model() {
     assert!(found.has_model && !found.is_filtered);
 }
 
-/// Regression test: the headline was about another part than *Worst part*, and a less probable loss was
-/// before a certain one.
+/// Regression test: the headline was about another part than *Worst part*, and a less probable loss
+/// was before a certain one.
 #[test]
 fn the_headline_and_the_worst_part_are_the_most_severe_loss() {
     for ((probability_a, loss_a), (probability_b, loss_b)) in [

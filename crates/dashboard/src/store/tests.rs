@@ -23,8 +23,8 @@ fn initial_normal_state_is_no_change() {
     assert_eq!(states, [AlertState::Cleared, AlertState::Raised]);
 }
 
-/// Regression test: an acknowledgement had the time of the data, and that of an earlier alert had the
-/// note of the last one.
+/// Regression test: an acknowledgement had the time of the data, and that of an earlier alert had
+/// the note of the last one.
 #[test]
 fn an_alert_has_the_note_and_the_time_of_its_own_acknowledgement() {
     let mut store = demo();

@@ -173,7 +173,8 @@ impl Site {
     async fn request(&self, method: &str, path: &str, headers: &str, body: &str) -> Answer {
         let (host, length) = (self.address, body.len());
         let text = format!(
-            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Type: application/json\r\n\
+            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\
+             Content-Type: application/json\r\n\
              Content-Length: {length}\r\n{headers}\r\n{body}"
         );
         let socket = TcpStream::connect(self.address).await.unwrap();

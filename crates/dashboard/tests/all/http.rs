@@ -197,7 +197,8 @@ impl Client {
             let host = self.address;
             let length = body.len();
             let request = format!(
-                "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
+                "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\
+                 Content-Length: {length}\r\n{headers}\r\n{body}"
             );
             socket.write_all(request.as_bytes()).await.unwrap();
             let mut text = String::new();

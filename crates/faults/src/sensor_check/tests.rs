@@ -616,8 +616,8 @@ fn motion_below_the_stated_noise_does_not_overrule_an_earlier_one() {
     }
 }
 
-/// Returns the structure with 24 sensors on its floors. The ground belongs to a group with 23 of them,
-/// and to a group with the last one.
+/// Returns the structure with 24 sensors on its floors. The ground belongs to a group with 23 of
+/// them, and to a group with the last one.
 fn in_two_groups() -> SensorCheck {
     let sensors = (0..21).map(|number| {
         format!(
@@ -636,8 +636,8 @@ fn in_two_groups() -> SensorCheck {
     check
 }
 
-/// Checks frames of the stiff frame, in which each floor has eight sensors. Returns the changes with
-/// their times (s).
+/// Checks frames of the stiff frame, in which each floor has eight sensors. Returns the changes
+/// with their times (s).
 fn checked_in_two_groups(frames: &[Vec<f64>]) -> Vec<(f64, Change)> {
     let mut check = in_two_groups();
     let mut changes = Vec::new();
@@ -650,8 +650,8 @@ fn checked_in_two_groups(frames: &[Vec<f64>]) -> Vec<(f64, Change)> {
     changes
 }
 
-/// Regression: the group of 24 channels found the drift, and the group of 2 channels, which cannot find
-/// one, made the ground sound again in the same frame.
+/// Regression: the group of 24 channels found the drift, and the group of 2 channels, which cannot
+/// find one, made the ground sound again in the same frame.
 #[test]
 fn ground_of_two_groups_stays_faulty_while_it_drifts() {
     let mut drifting = frames(&table(&[]));

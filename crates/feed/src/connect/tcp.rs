@@ -88,7 +88,8 @@ pub(crate) async fn serve(listen: String, format: LineFormat, outlet: Outlet) {
                         clients.spawn(serve_one(stream, from, format.clone(), outlet.clone()));
                     }
                     Ok((_stream, from)) => {
-                        let why = format!("{from} disconnected: {MAX_CLIENTS} are connected already");
+                        let why = format!("{from} disconnected: {MAX_CLIENTS} are connected \
+                                           already");
                         outlet.malformed(why).await;
                     }
                     Err(error) => {

@@ -157,8 +157,10 @@ kind = "pigeon"
     let expected = [
         "spandrel.toml: feed.source[0].address: is \"8888\", must be HOST:PORT",
         "spandrel.toml: feed.source[0].colour: is an unknown key here, must be one of address,",
-        "spandrel.toml: feed.source[0].channel[0].channel: is \"attic\", must be one of ground, roof",
-        "spandrel.toml: feed.source[0].channel[0].sensitivity: is 0, must be a finite number except 0",
+        "spandrel.toml: feed.source[0].channel[0].channel: is \"attic\", must be one of ground, \
+         roof",
+        "spandrel.toml: feed.source[0].channel[0].sensitivity: is 0, must be a finite number \
+         except 0",
         "spandrel.toml: feed.source[1].name: is \"a\" again, must differ",
         "spandrel.toml: feed.source[1].channel: has source \"ay\", must be one of the columns ax",
         "spandrel.toml: feed.source[1].jitter-s: is missing, must state how far arrival times",

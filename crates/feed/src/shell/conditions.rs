@@ -9,8 +9,9 @@ use spandrel_service::Monitored;
 use crate::error::FeedError;
 use crate::settings::FeedConfig;
 
-/// Number of values after which the feed pauses. They fill half a batch of Zenoh (64 KiB). The network
-/// drops display values if its two batches are full, and a file can contain a year of values.
+/// Number of values after which the feed pauses. They fill half a batch of Zenoh (64 KiB). The
+/// network drops display values if its two batches are full, and a file can contain a year of
+/// values.
 const VALUES_AT_ONCE: u64 = 100;
 /// Length of the pause, in which the network sends the values and the history takes them.
 const PAUSE: Duration = Duration::from_millis(20);

@@ -93,8 +93,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.work.update.innovation
     }
 
-    /// Returns what the last step predicted for each channel before it used the datum (N_0), also for
-    /// missing channels.
+    /// Returns what the last step predicted for each channel before it used the datum (N_0), also
+    /// for missing channels.
     pub fn predicted(&self) -> &DVector<f64> {
         &self.work.predicted
     }

@@ -570,7 +570,8 @@ proptest::proptest! {
             let mut settings = FilterSettings::new(0.02, DVector::zeros(n), DVector::repeat(n, 1.0), noise);
             settings.fading = FadingFactor::from_half_life(memory).unwrap();
             let mut system = random_system(n, &entries);
-            // Stable, because a variance of 1e16 is not infinite beside that of an unbounded response.
+            // Stable, because a variance of 1e16 is not infinite beside that of an unbounded
+            // response.
             system.system -= DMatrix::identity(n, n) * 6.0;
             ExtendedKalmanFilter::new(system, settings).unwrap()
         };

@@ -8,9 +8,9 @@
 //! - The model is wrong for the present motion, and each channel rejects half of its samples.
 //!
 //! The logarithm of their likelihood ratio is summed and kept positive (E. S. Page, *Continuous
-//! inspection schemes*, Biometrika 41 (1954), 100-115). One faulty sensor explains the rejections of
-//! its own channels. There is therefore one sum for each sensor, which leaves that sensor out, and a
-//! common change must be credible in all of these sums.
+//! inspection schemes*, Biometrika 41 (1954), 100-115). One faulty sensor explains the rejections
+//! of its own channels. There is therefore one sum for each sensor, which leaves that sensor out,
+//! and a common change must be credible in all of these sums.
 
 use super::{ChannelScreen, OutlierSettings, Verdict};
 use serde::{Deserialize, Serialize};
@@ -97,9 +97,9 @@ impl CommonChange {
 
     /// Processes the verdicts of one step.
     ///
-    /// A common change must last for [`OutlierSettings::change_steps`], because a disturbance of the
-    /// data acquisition can affect all channels for a moment. The screening then pauses for the time
-    /// in which a channel learns its scale, or as long as the filter follows a jump.
+    /// A common change must last for [`OutlierSettings::change_steps`], because a disturbance of
+    /// the data acquisition can affect all channels for a moment. The screening then pauses for the
+    /// time in which a channel learns its scale, or as long as the filter follows a jump.
     pub(super) fn take(
         &mut self,
         settings: &OutlierSettings,

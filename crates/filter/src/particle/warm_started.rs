@@ -46,8 +46,8 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     ///
     /// - `drift_std`: standard deviation of the increment of each parameter per step (N_θ,
     ///   parameter units)
-    /// - `warm_steps`: number of frames for the Kalman filter; 0 draws the particles from the prior,
-    ///   if no noise level must be trained
+    /// - `warm_steps`: number of frames for the Kalman filter; 0 draws the particles from the
+    ///   prior, if no noise level must be trained
     ///
     /// # Errors
     /// Returns an error if a setting does not fit the model or is out of range.

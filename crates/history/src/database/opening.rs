@@ -117,10 +117,10 @@ impl Database {
                 Box::pin(async move {
                     if is_file {
                         connection.execute("PRAGMA busy_timeout = 5000").await?;
-                        // Each commit is synced. With NORMAL, a power failure loses all commits since
-                        // SQLite last moved the WAL into the database, which can be hours. If the file
-                        // is unreadable, the next statement reports the reason. An error here would
-                        // only appear as a timeout of the pool.
+                        // Each commit is synced. With NORMAL, a power failure loses all commits
+                        // since SQLite last moved the WAL into the database, which can be hours. If
+                        // the file is unreadable, the next statement reports the reason. An error
+                        // here would only appear as a timeout of the pool.
                         let _ = connection.execute("PRAGMA synchronous = FULL").await;
                     }
                     Ok(())

@@ -687,7 +687,8 @@ async fn foreign_file_is_set_aside_and_a_new_database_created() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("history.sqlite");
     let text =
-        "a letter, and no database at all; long enough to be taken for one by whoever only looks at its length. "
+        "a letter, and no database at all; long enough to be taken for one by whoever only looks \
+         at its length. "
             .repeat(20);
     std::fs::write(&path, &text).unwrap();
     let database = Database::new(&Address::Sqlite(path.clone())).unwrap();
@@ -874,8 +875,8 @@ async fn month_of_fifty_parameters_needs_less_than_one_gigabyte() {
 async fn tables_of_a_later_version_are_rejected_and_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let database = file(folder.path()).await;
-    let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
-                 VALUES (2, 'later', TRUE, x'00', 0)";
+    let later = "INSERT INTO _sqlx_migrations (version, description, success, checksum, \
+                 execution_time) VALUES (2, 'later', TRUE, x'00', 0)";
     sqlx::query(later)
         .execute(&database.pool().await.unwrap())
         .await

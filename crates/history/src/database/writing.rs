@@ -194,7 +194,8 @@ impl<'w> Writing<'w> {
                 self.write(batch, Rows::Happened(&batch.happened)).await?;
             }
         }
-        let statement = "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO UPDATE SET batch = excluded.batch";
+        let statement = "INSERT INTO writer (id, batch) VALUES ($1, $2) ON CONFLICT (id) DO \
+                         UPDATE SET batch = excluded.batch";
         sqlx::query(statement)
             .bind(life.to_owned())
             .bind(last.number)
@@ -304,7 +305,8 @@ impl<'w> Writing<'w> {
         points: &[(Series, i64, [f64; 3])],
     ) -> Result<(), Failed> {
         let statement = format!(
-            "INSERT INTO point (series, time_ns, mean, std, probability) VALUES {} ON CONFLICT DO NOTHING",
+            "INSERT INTO point (series, time_ns, mean, std, probability) VALUES {} ON CONFLICT DO \
+             NOTHING",
             placeholders(points.len(), 5)
         );
         let mut insert =
@@ -345,7 +347,8 @@ impl<'w> Writing<'w> {
             .chain(["last_ns", "largest", "high", "probability"].map(larger))
             .collect();
         let statement = format!(
-            "INSERT INTO bucket ({}) VALUES {} ON CONFLICT (series, resolution_s, start_s) DO UPDATE SET {}",
+            "INSERT INTO bucket ({}) VALUES {} ON CONFLICT (series, resolution_s, start_s) DO \
+             UPDATE SET {}",
             BUCKET_COLUMNS.join(", "),
             placeholders(buckets.len(), BUCKET_COLUMNS.len()),
             updates.join(", ")
@@ -489,10 +492,12 @@ async fn replace_revision(
     structure: &str,
     alert: &AlertMessage,
 ) -> Result<bool, Failed> {
-    const LATER: &str = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
-                         AND state = $3 AND time_ns > $4 ORDER BY time_ns LIMIT 1";
-    const FORMER: &str = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = 'alert' AND subject = $2 \
-                          AND state = $3 AND time_ns <= $4 ORDER BY time_ns DESC LIMIT 1";
+    const LATER: &str = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = \
+                         'alert' AND subject = $2 AND state = $3 AND time_ns > $4 ORDER BY \
+                         time_ns LIMIT 1";
+    const FORMER: &str = "SELECT time_ns, message FROM happened WHERE structure = $1 AND kind = \
+                          'alert' AND subject = $2 AND state = $3 AND time_ns <= $4 ORDER BY \
+                          time_ns DESC LIMIT 1";
     let (subject, state) = (alert.parameter.to_string(), alert.state.as_str());
     let mut found = [None, None];
     for (statement, found) in [LATER, FORMER].into_iter().zip(&mut found) {
@@ -517,7 +522,8 @@ async fn replace_revision(
         return Ok(false);
     }
     let statement = "UPDATE happened SET time_ns = $1, message = $2 \
-                     WHERE structure = $3 AND time_ns = $4 AND kind = 'alert' AND subject = $5 AND state = $6";
+                     WHERE structure = $3 AND time_ns = $4 AND kind = 'alert' AND subject = $5 \
+                     AND state = $6";
     let update = sqlx::query(statement)
         .bind(alert.time_ns)
         .bind(serde_json::to_string(alert)?);

@@ -64,7 +64,8 @@ impl Hearing {
         let is_heard = !value.is_nan() && !self.is_stuck(spans);
         self.known |= is_heard;
         self.silent = if is_heard { 0 } else { self.silent + 1 };
-        // Single lost samples, and the frames between those of a slower node, do not interrupt a return.
+        // Single lost samples, and the frames between those of a slower node, do not interrupt a
+        // return.
         let is_interrupted = self.is_stuck(spans) || self.silent >= spans.short;
         let has_returned = is_heard || self.heard > 0;
         self.heard = match has_returned && !is_interrupted {

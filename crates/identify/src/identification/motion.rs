@@ -1,7 +1,8 @@
 //! Tells strong from weak motion, for the flags of the estimates.
 //!
 //! Motion is strong by the rule that finds earthquakes in the frames, with the limit
-//! `strong-m-per-s2` as its trigger. It therefore ends when no window has been strong for 20 to 40 s.
+//! `strong-m-per-s2` as its trigger. It therefore ends when no window has been strong for 20 to 40
+//! s.
 
 use serde::{Deserialize, Serialize};
 use spandrel_earthquake::{
@@ -89,7 +90,8 @@ impl Motion {
         }
     }
 
-    /// Restores a state. One of other channels is ignored, because `[earthquakes]` may have changed.
+    /// Restores a state. One of other channels is ignored, because `[earthquakes]` may have
+    /// changed.
     pub(super) fn restore(&mut self, state: MotionState) {
         if self.detection.restore(state.detection) {
             self.peak = state.peak;

@@ -80,8 +80,8 @@ impl Recent {
         self.most == 0
     }
 
-    /// Calls `take` with each of the latest `count` frames, or all of them if they are fewer, the oldest
-    /// first, until it fails.
+    /// Calls `take` with each of the latest `count` frames, or all of them if they are fewer, the
+    /// oldest first, until it fails.
     ///
     /// # Errors
     /// Returns the error of `take`.

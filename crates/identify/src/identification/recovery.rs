@@ -1,8 +1,8 @@
 //! Restart of a filter that has lost the structure and does not return.
 //!
-//! A motion that the model does not describe can move the parameters very far, for example yielding in
-//! an earthquake. The linearised filter then stays at a wrong solution, although the structure behaves
-//! like its model again. A restart from the prior finds the parameters.
+//! A motion that the model does not describe can move the parameters very far, for example yielding
+//! in an earthquake. The linearised filter then stays at a wrong solution, although the structure
+//! behaves like its model again. A restart from the prior finds the parameters.
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{FitReason, FitVerdict};

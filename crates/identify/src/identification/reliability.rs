@@ -7,13 +7,13 @@
 //! strong motion, this term is negligible. While the ground is quiet, it is the only term that
 //! depends on the stiffness, and the estimate falls towards zero.
 //!
-//! With the reliability `κ = s²/(s² + σ²)`, where `s²` is the variance of the motion, the excitation
-//! is `κ (f + w) ± √κ σ`: the mean and the standard deviation of `f` given the sample. While the
-//! ground is at rest, `κ` is 0, and the filter lets the structure move freely.
+//! With the reliability `κ = s²/(s² + σ²)`, where `s²` is the variance of the motion, the
+//! excitation is `κ (f + w) ± √κ σ`: the mean and the standard deviation of `f` given the sample.
+//! While the ground is at rest, `κ` is 0, and the filter lets the structure move freely.
 //!
 //! The mean square `P` of the samples estimates `s² + σ²`. If the sensor is noisier than stated, it
-//! seems to show a motion of the ground. But the ground moves the floors, which amplify its motion, so
-//! that `s²` is at most a share of their mean square.
+//! seems to show a motion of the ground. But the ground moves the floors, which amplify its motion,
+//! so that `s²` is at most a share of their mean square.
 //!
 //! Below a reliability of a half, the level of the excitation is uncertain by as much as the motion
 //! of the structure would be informative. The parameters then learn only from a free vibration that
@@ -50,11 +50,11 @@ const ONSET: f64 = 9.0;
 /// Factor on the smallest mean square, which chance makes too small.
 const OF_QUIETEST: f64 = 1.15;
 
-/// Mean square, as a share of the stated variance of the noise, below which a channel is silent unless
-/// all of them are at rest.
+/// Mean square, as a share of the stated variance of the noise, below which a channel is silent
+/// unless all of them are at rest.
 ///
-/// An unplugged sensor measures less than its noise. The noise of the connected one must not look like
-/// an onset, and must not exceed [`CONFIRMED`].
+/// An unplugged sensor measures less than its noise. The noise of the connected one must not look
+/// like an onset, and must not exceed [`CONFIRMED`].
 const LEAST_OF_STATED: f64 = 0.25;
 
 /// Mean square, as a multiple of the variance of the noise, up to which the floors must confirm a
@@ -191,8 +191,8 @@ impl BandPower {
             .map_or(in_band, |least| in_band.min(OF_QUIETEST * least))
     }
 
-    /// Returns `true` if the present mean square does not exceed the stated noise. A silent channel shows
-    /// no motion.
+    /// Returns `true` if the present mean square does not exceed the stated noise. A silent channel
+    /// shows no motion.
     fn rests(&self, stated: f64, band: &Band) -> bool {
         let in_band = stated * band.passes;
         let present = self.present_mean_square(in_band, band);
@@ -413,7 +413,8 @@ mod tests {
         let channel = |name: &str, measures: &str| {
             let of_node = if name == "ground" { of_ground } else { "" };
             format!(
-                "[[node]]\nname = \"{name}\"\n{of_node}[[node.channel]]\nname = \"{name}\"\n{measures}\n\
+                "[[node]]\nname = \"{name}\"\n{of_node}[[node.channel]]\nname = \"{name}\"\n\
+                 {measures}\n\
                  unit = \"m/s2\"\nnoise-std = {NOISE}\n"
             )
         };

@@ -94,8 +94,8 @@ impl Identification {
         Ok(ends)
     }
 
-    /// Returns `false` if the samples of the channel are already left out because of a sudden fault, or
-    /// if the screening rejects all of them.
+    /// Returns `false` if the samples of the channel are already left out because of a sudden
+    /// fault, or if the screening rejects all of them.
     fn uses(&self, channel: usize) -> bool {
         let screened = self.estimator.outliers().zip(self.row_of(channel));
         let is_rejected = screened.is_some_and(|(outliers, row)| outliers.channels()[row].faulty());

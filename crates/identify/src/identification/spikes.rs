@@ -9,11 +9,11 @@ const SHARED: f64 = 0.25;
 /// Removes spikes from a stream of frames, one frame late.
 ///
 /// The screening of the filter also rejects samples of a structure that has changed. Without these
-/// samples, its sensors would seem to contradict each other. A rejected sample is therefore no spike
-/// if its neighbours in time are rejected as well, and share its deviation from the prediction. Three
-/// spikes in a row can share it by chance. Another predicted channel must therefore deviate for as
-/// long, if there is one. This does not suffice for a fast motion that the model does not contain. The
-/// measured samples are therefore kept beside those without spikes.
+/// samples, its sensors would seem to contradict each other. A rejected sample is therefore no
+/// spike if its neighbours in time are rejected as well, and share its deviation from the
+/// prediction. Three spikes in a row can share it by chance. Another predicted channel must
+/// therefore deviate for as long, if there is one. This does not suffice for a fast motion that the
+/// model does not contain. The measured samples are therefore kept beside those without spikes.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Spikes {
     /// The newest sample of each channel. Empty before the first frame.
@@ -77,7 +77,8 @@ impl Sample {
     }
 }
 
-/// Returns the mean of two residuals, or the one that is known. Without any, the prediction is best.
+/// Returns the mean of two residuals, or the one that is known. Without any, the prediction is
+/// best.
 fn mean_of_known(before: f64, next: f64) -> f64 {
     match (before.is_finite(), next.is_finite()) {
         (true, true) => 0.5 * (before + next),

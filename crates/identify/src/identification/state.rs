@@ -118,28 +118,32 @@ impl Identification {
         }
         if !self.check.restore(state.sensors) {
             return Err(FilterError::Dimension {
-                what: "sensor check of a checkpoint (0: of other channels, 1: of the structure file)",
+                what: "sensor check of a checkpoint (0: of other channels, 1: of the structure \
+                       file)",
                 found: 0,
                 expected: 1,
             });
         }
         if !state.spikes.fits(self.last_values.len()) {
             return Err(FilterError::Dimension {
-                what: "frames of a checkpoint without spikes (0: of other channels, 1: of the structure file)",
+                what: "frames of a checkpoint without spikes (0: of other channels, 1: of the \
+                       structure file)",
                 found: 0,
                 expected: 1,
             });
         }
         if !self.recent.restore(state.recent) {
             return Err(FilterError::Dimension {
-                what: "recent frames of a checkpoint (0: of other channels, 1: of the structure file)",
+                what: "recent frames of a checkpoint (0: of other channels, 1: of the structure \
+                       file)",
                 found: 0,
                 expected: 1,
             });
         }
         if !self.sudden.restore(state.sudden, &self.estimator) {
             return Err(FilterError::Dimension {
-                what: "sudden faults of a checkpoint (0: of other channels, 1: of the structure file)",
+                what: "sudden faults of a checkpoint (0: of other channels, 1: of the structure \
+                       file)",
                 found: 0,
                 expected: 1,
             });

@@ -7,9 +7,9 @@
 //! The filter then continues without this sensor. If the others deviate as well, the structure has
 //! changed.
 //!
-//! The deviation of a sensor is the mean square of its residuals, as a share of that of the predicted
-//! values. With a wrong model, a sound sensor deviates as well. The trial therefore compares each
-//! deviation with that before the jump.
+//! The deviation of a sensor is the mean square of its residuals, as a share of that of the
+//! predicted values. With a wrong model, a sound sensor deviates as well. The trial therefore
+//! compares each deviation with that before the jump.
 
 use super::recent::{Inputs, Recent};
 use super::{Identification, Output};
@@ -19,8 +19,8 @@ use spandrel_bus::{EventKind, FitVerdict};
 use spandrel_faults::{ChannelHealth, Fault, Soundness};
 use spandrel_filter::{FilterError, Frame, NoisePhase};
 
-/// Time between two kept states of the filter, in fundamental periods and in seconds. The longer of the
-/// two counts.
+/// Time between two kept states of the filter, in fundamental periods and in seconds. The longer of
+/// the two counts.
 const SPAN: (f64, f64) = (6.0, 6.0);
 
 /// Time constant of the present deviations (fundamental periods, s).
@@ -140,8 +140,8 @@ struct LeftOut {
     agrees: u64,
 }
 
-/// Mean of the measured values of a row, and mean squares of its residuals, predictions and measured
-/// values, and of the product of the last two.
+/// Mean of the measured values of a row, and mean squares of its residuals, predictions and
+/// measured values, and of the product of the last two.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 struct Deviation {
     mean: f64,
@@ -227,7 +227,8 @@ impl Shown {
     }
 }
 
-/// A filter that has repeated the latest frames with held parameters, and the deviations of its rows.
+/// A filter that has repeated the latest frames with held parameters, and the deviations of its
+/// rows.
 struct Repeated {
     filter: Estimator,
     /// Shares before the jump.
@@ -381,8 +382,8 @@ impl SuddenFaults {
         });
     }
 
-    /// Compares the rows that are left out, with their measured `value`, with their predictions. Returns the rows that
-    /// are used again.
+    /// Compares the rows that are left out, with their measured `value`, with their predictions.
+    /// Returns the rows that are used again.
     fn compare_left_out(&mut self, value: impl Fn(usize) -> f64, predicted: &[f64]) -> Vec<usize> {
         let mut back = Vec::new();
         for (row, entry) in self.state.left_out.iter_mut().enumerate() {
@@ -441,8 +442,8 @@ impl SuddenFaults {
 }
 
 impl Identification {
-    /// Searches for a sudden fault of a sensor after a frame. `restarted` states whether the filter has
-    /// restarted at this frame.
+    /// Searches for a sudden fault of a sensor after a frame. `restarted` states whether the filter
+    /// has restarted at this frame.
     pub(super) fn find_sudden_faults(
         &mut self,
         time_ns: i64,
@@ -528,7 +529,8 @@ impl Identification {
             time_ns,
             EventKind::ChannelExcluded,
             &format!("the sensor {}: its samples are not used", fault.words()),
-            "without it, the other sensors measure what the model predicts with unchanged parameters",
+            "without it, the other sensors measure what the model predicts with unchanged \
+             parameters",
         ));
     }
 
@@ -560,7 +562,8 @@ impl Identification {
         rows.position(|of_row| *of_row == channel)
     }
 
-    /// Returns the health of a channel of a frame, with its sudden faults. `None` if it is not checked.
+    /// Returns the health of a channel of a frame, with its sudden faults. `None` if it is not
+    /// checked.
     pub(super) fn health(&self, channel: usize) -> Option<ChannelHealth> {
         let health = self.check.health()[channel]?;
         Some(match self.sudden_fault(channel) {
@@ -582,7 +585,8 @@ mod tests {
     /// Deviation of every row before the jump.
     const BEFORE_JUMP: f64 = 0.01;
 
-    /// Returns what a trial without row 0 decides at once if the deviations have grown by these factors.
+    /// Returns what a trial without row 0 decides at once if the deviations have grown by these
+    /// factors.
     fn decision(growths: &[f64]) -> Decision {
         let rows = growths.len();
         let mut shown = Shown {

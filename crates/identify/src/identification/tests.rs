@@ -899,8 +899,8 @@ fn flags_state_strong_motion_also_after_a_restart_within_it() {
     let strong: Vec<usize> = (0..6000).filter(|frame| found[*frame].is_some()).collect();
     let (first, last) = (strong[0], strong[strong.len() - 1]);
     assert!((1500..1600).contains(&first), "{first}");
-    // The last large values lie in the window of 10 s until 27 s. The motion ends when no window has been
-    // strong for three windows.
+    // The last large values lie in the window of 10 s until 27 s. The motion ends when no window
+    // has been strong for three windows.
     assert!((5600..5700).contains(&last), "{last}");
     assert_eq!(strong.len(), last + 1 - first);
     assert!(found[first] > Some(5.0) && found[last] > found[first]);

@@ -270,8 +270,8 @@ async fn samples_that_cause_a_panic_are_set_aside_after_restarts() {
         .unwrap();
 }
 
-/// Regression: each status began the wait anew, so that replayed samples waited forever for a station
-/// that has crashed.
+/// Regression: each status began the wait anew, so that replayed samples waited forever for a
+/// station that has crashed.
 #[tokio::test(flavor = "multi_thread")]
 async fn replayed_samples_continue_without_the_reply_of_a_station() {
     let mut lives = Lives::new().await;

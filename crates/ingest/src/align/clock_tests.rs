@@ -305,7 +305,8 @@ fn nodes_that_catch_up_together_stay_in_one_run_beside_a_clock_that_is_ahead() {
     }
 }
 
-// Their time became a deadline in the future, so that frames never waited for the other nodes again.
+// Their time became a deadline in the future, so that frames never waited for the other nodes
+// again.
 #[test]
 fn clocks_that_are_ahead_for_a_moment_leave_no_deadline_in_the_future() {
     for (ahead_s, off_s) in [(1, 400 * 86_400), (1, 600), (5, 400 * 86_400), (5, 600)] {

@@ -1,4 +1,5 @@
-//! A massive structure: its interior follows the air within days, and only the air has a thermometer.
+//! A massive structure: its interior follows the air within days, and only the air has a
+//! thermometer.
 
 use crate::support::{coverage, describe, first_alarm, judge, settings};
 use rand_chacha::ChaCha8Rng;
@@ -7,11 +8,11 @@ use spandrel_judge::{Epoch, Judgement, State};
 
 const DAY_S: f64 = 86_400.0;
 const PER_DAY: u32 = 4;
-/// Layers of the wall, from the surface to the middle. Heat passes from layer to layer, so that the mean
-/// temperature of the wall does not follow the air with a single time constant.
+/// Layers of the wall, from the surface to the middle. Heat passes from layer to layer, so that the
+/// mean temperature of the wall does not follow the air with a single time constant.
 const LAYERS: usize = 8;
-/// Share of the difference between two layers that passes in a step. The slowest time constant of the
-/// wall is about five days.
+/// Share of the difference between two layers that passes in a step. The slowest time constant of
+/// the wall is about five days.
 const PASSES: f64 = 0.4;
 const STEPS_PER_EPOCH: u32 = 4;
 
@@ -68,8 +69,8 @@ fn the_temperature_of_the_air_explains_a_massive_structure() {
         let (inside, scatter) = (coverage(judgements.iter()), scatter(&judgements));
         println!("coverage {inside:.3}, scatter {:.3} %", 100.0 * scatter);
         assert!((0.9..=1.0).contains(&inside), "seed {seed}: {inside}");
-        // The mean of a day has an error of 0.05 %. With the day before as the only memory, the scatter is
-        // 0.09 to 0.11 %.
+        // The mean of a day has an error of 0.05 %. With the day before as the only memory, the
+        // scatter is 0.09 to 0.11 %.
         assert!(scatter < 0.000_7, "seed {seed}: {scatter}");
     }
 }

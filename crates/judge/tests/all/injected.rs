@@ -37,8 +37,8 @@ struct Injection<'a> {
     between_dates: usize,
 }
 
-/// The bridge is warmer than ever before on days 149 to 153 and 163 to 169. A loss on such a day is not
-/// mistaken for the effect of the warmth.
+/// The bridge is warmer than ever before on days 149 to 153 and 163 to 169. A loss on such a day is
+/// not mistaken for the effect of the warmth.
 #[test]
 fn a_loss_of_five_percent_of_frequency_of_the_bridge_is_found() {
     inject(&Injection {
@@ -90,7 +90,8 @@ fn inject(injection: &Injection<'_>) {
             delays.sort_by_key(|delay| delay.unwrap_or(i64::MAX));
             let median = delays[delays.len() / 2];
             println!(
-                "{name}, loss of {:.0} %: found {found} of {}, median {median:?} days; missed: {missed:?}",
+                "{name}, loss of {:.0} %: found {found} of {}, median {median:?} days; missed: \
+                 {missed:?}",
                 100.0 * share,
                 delays.len()
             );

@@ -94,8 +94,8 @@ fn a_gain_beyond_the_commissioning_is_told() {
     }
 }
 
-/// A commissioning of 120 days does not show the deviations of other seasons, so a loss of 2 % is not
-/// raised. Regression test: the report stated a delay of some days for it.
+/// A commissioning of 120 days does not show the deviations of other seasons, so a loss of 2 % is
+/// not raised. Regression test: the report stated a delay of some days for it.
 #[test]
 fn the_report_names_the_losses_that_a_short_commissioning_cannot_show() {
     let (state, _) = commissioned(1, 130, 120, |_| 1.0);

@@ -71,8 +71,8 @@ fn damage_of_the_bridge_is_found_within_days_and_nothing_before() {
     }
 }
 
-/// Regression test: mode 2 wanders by 2 %, and raised a wrong loss of up to 2 % before the damage. It
-/// depended on the thermometer and on the hour at which a day begins.
+/// Regression test: mode 2 wanders by 2 %, and raised a wrong loss of up to 2 % before the damage.
+/// It depended on the thermometer and on the hour at which a day begins.
 #[test]
 fn no_thermometer_in_the_bridge_and_no_beginning_of_the_day_raises_a_wrong_loss() {
     let Some(table) = table_or_skip(Z24) else {

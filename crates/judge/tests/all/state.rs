@@ -184,8 +184,8 @@ fn a_thermometer_that_jumps_and_stays_there_is_not_believed() {
     assert_eq!(last.state, State::NoStatement { why });
     assert_eq!(
         last.sentence(),
-        "f1 is not judged, because deck has jumped from one epoch to the next and has not gone back. \
-         Check the thermometer."
+        "f1 is not judged, because deck has jumped from one epoch to the next and has not gone \
+         back. Check the thermometer."
     );
 }
 

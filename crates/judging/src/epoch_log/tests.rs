@@ -142,8 +142,8 @@ fn the_file_that_returns_keeps_its_epochs() {
     assert_eq!(names(folder.path()), [FILE]);
 }
 
-/// Regression: a line after a shortened file broke the chain of the check values, and the next start
-/// set the file aside.
+/// Regression: a line after a shortened file broke the chain of the check values, and the next
+/// start set the file aside.
 #[test]
 fn a_shortened_file_continues_after_its_last_complete_line() {
     let folder = written(0..5);

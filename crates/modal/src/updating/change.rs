@@ -1,7 +1,7 @@
 //! The change of each stiffness since the commissioning, from the modes of one epoch.
 //!
-//! The deviations y of ln f and of the shapes from their means are compared with those of the model,
-//! y = h(d) + e, with d the change of ln k. The covariance of e has
+//! The deviations y of ln f and of the shapes from their means are compared with those of the
+//! model, y = h(d) + e, with d the change of ln k. The covariance of e has
 //!
 //! - the stated covariances of the epoch and of the mean
 //! - the scatter between epochs, whose variance has a few levels with probabilities
@@ -74,8 +74,8 @@ struct Told {
 impl UpdateReference {
     /// Estimates the change of the stiffnesses from the modes of an epoch.
     ///
-    /// The declared modes are in the order of the commissioning. A missing mode, or a shape of other
-    /// channels, takes no part. Without any mode, the result is the prior.
+    /// The declared modes are in the order of the commissioning. A missing mode, or a shape of
+    /// other channels, takes no part. Without any mode, the result is the prior.
     ///
     /// # Errors
     /// A decomposition fails.
@@ -405,8 +405,8 @@ impl UpdatePrecision {
         (gain >= LEAST_GAIN).then(|| 1.0 - (-FOUND_QUANTILE * std / gain).exp())
     }
 
-    /// Returns the correlation of the changes of two parts. Near −1, the modes determine their sum, but
-    /// not which of them has changed.
+    /// Returns the correlation of the changes of two parts. Near −1, the modes determine their sum,
+    /// but not which of them has changed.
     #[must_use]
     pub fn correlation(&self, one: usize, other: usize) -> f64 {
         let product = self.std(one) * self.std(other);

@@ -38,7 +38,8 @@ const SETTLED: f64 = 1e-10;
 pub struct UpdateSettings {
     /// Number of epochs of the commissioning, at least 1.
     pub commissioning_epochs: usize,
-    /// Standard deviation of ln of the stiffness of each part, relative to nominal, before any data.
+    /// Standard deviation of ln of the stiffness of each part, relative to nominal, before any
+    /// data.
     pub prior_std: Vec<f64>,
 }
 

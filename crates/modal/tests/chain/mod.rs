@@ -1,8 +1,8 @@
 //! A chain of unit masses under random forces, in modal coordinates.
 //!
-//! Its modes come from Jacobi rotations written here, so that the simulation shares no linear algebra
-//! with the method under test. The forces are white. Each modal oscillator is
-//! integrated by the exact solution for a force that is constant over a step.
+//! Its modes come from Jacobi rotations written here, so that the simulation shares no linear
+//! algebra with the method under test. The forces are white. Each modal oscillator is integrated by
+//! the exact solution for a force that is constant over a step.
 
 #[path = "../oscillator/mod.rs"]
 mod oscillator;

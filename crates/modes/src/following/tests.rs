@@ -138,7 +138,8 @@ fn no_epoch_contains_both_sides_of_a_hole() {
     assert!((frequency(&rest) - frequency(&anew)).abs() < 1e-6);
 }
 
-/// A recording and a stream have the same rule: a hole of less than a second repeats the last values.
+/// A recording and a stream have the same rule: a hole of less than a second repeats the last
+/// values.
 #[test]
 fn a_short_hole_is_bridged() {
     let mut all = frames(TWO_EPOCHS);

@@ -101,8 +101,10 @@ fn points_and_step(line: &str) -> Option<(usize, f64)> {
 mod tests {
     use super::*;
 
-    const FILE: &str = "PEER STRONG MOTION DATABASE RECORD\nHILL 1/2/03, HALL, 90\nACCELERATION TIME HISTORY IN UNITS OF G. FILTER\n\
-        NPTS=     7, DT= .00500 SEC\n   .1000000E-02  -.2000000E-02   .3000000E-02   .4000000E-02   .5000000E-02\n\
+    const FILE: &str = "PEER STRONG MOTION DATABASE RECORD\nHILL 1/2/03, HALL, 90\n\
+                        ACCELERATION TIME HISTORY IN UNITS OF G. FILTER\n\
+        NPTS=     7, DT= .00500 SEC\n   .1000000E-02  -.2000000E-02   .3000000E-02   \
+        .4000000E-02   .5000000E-02\n\
         \u{20}  .6000000E-02  -.7000000E-02\n";
 
     #[test]

@@ -248,7 +248,8 @@ mod tests {
                 .collect::<String>()
                 + "\n");
         }
-        text += "   1 Comment line(s) follow, each starting with a \"|\":\n|<SCNL>HILL.HNZ.XX.--   <AUTH> \n";
+        text += "   1 Comment line(s) follow, each starting with a \"|\":\n\
+                 |<SCNL>HILL.HNZ.XX.--   <AUTH> \n";
         text +=
             &format!("   10 acceleration pts, approx  1 secs, units={unit}(02)Format=(8f9.6)\n");
         text += &format!("{}\n  .000001  .000002\n", "-1.000023".repeat(8));

@@ -12,17 +12,17 @@
 //! The first of these lines that is complete dates the first sample:
 //!
 //! - `Start time: 12/20/22, 10:34: 1.0 UTC (GPS)`
-//! - `TRIGGER TIME: 11/21/86, 23:33:12.6 GMT`, because these recorders have no memory and start with
-//!   the trigger
+//! - `TRIGGER TIME: 11/21/86, 23:33:12.6 GMT`, because these recorders have no memory and start
+//!   with the trigger
 //! - `Rcrd of Fri Oct 11, 2013 16:05:59.0 PDT`. Such a file states its start to the minute only,
 //!   as `23:05 GMT (*LoQ*)`: the clock of the recorder was of low quality.
 //!
 //! A clock of low quality dates the event. Its times of several recorders of one event differ by up
 //! to an hour, although all of them were triggered together. They therefore cannot align channels.
 //!
-//! `(ORIGIN(USGS): 04/25/92, 18:06:04.2 GMT)` is the time of the earthquake. The recorder starts when
-//! its waves arrive, some seconds to a minute later. This time therefore dates the event, and no
-//! sample.
+//! `(ORIGIN(USGS): 04/25/92, 18:06:04.2 GMT)` is the time of the earthquake. The recorder starts
+//! when its waves arrive, some seconds to a minute later. This time therefore dates the event, and
+//! no sample.
 //!
 //! Source: California Strong Motion Instrumentation Program, *Standard tape format for processed
 //! strong-motion data* (Shakal and Huang 1985, report OSMS 85-03).
@@ -329,7 +329,8 @@ mod tests {
     /// Source of the times: `date -u -d '2013-10-11T16:05:59-07:00' +%s` and so on.
     #[test]
     fn start_to_the_minute_takes_its_seconds_from_the_local_time() {
-        let lines = "Rcrd of Fri Oct 11, 2013 16:05:59.0 PDT               (Avol1 v0.1, 4/13 CSMIP)\n\
+        let lines = "Rcrd of Fri Oct 11, 2013 16:05:59.0 PDT               (Avol1 v0.1, 4/13 \
+                     CSMIP)\n\
             CSMIP Preliminary Processing            (Origin:  To be determined)\n\
             89324-VA874-13284.06                 Start time: 10/11/13, 23:05 GMT (*LoQ*)\n";
         let channel = dated(lines);
@@ -356,7 +357,8 @@ mod tests {
 
     #[test]
     fn time_of_the_earthquake_dates_no_sample() {
-        let lines = "DEC 16, 1982 06:53 UTC                  (ORIGIN(PDE): 12/16/82, 06:53:01.3 UTC)\n\
+        let lines = "DEC 16, 1982 06:53 UTC                  (ORIGIN(PDE): 12/16/82, 06:53:01.3 \
+                     UTC)\n\
             89324-C0161-83238.01               TRIGGER TIME: 12/16/82, 06:53:XX.X UTC\n";
         let channel = dated(lines);
         assert_eq!(
@@ -368,8 +370,10 @@ mod tests {
 
     #[test]
     fn older_layout_is_read() {
-        let file = "CORRECTED ACCELEROGRAM   89324\nCHAN  2: 360 DEG  (STA CHN:  7)     LOCATION: DECK\n\
-            \u{20}2 POINTS OF ACCEL DATA EQUALLY SPACED AT  .020 SEC.  (UNITS: CM/SEC/SEC)\n     8.750    11.303\n\
+        let file = "CORRECTED ACCELEROGRAM   89324\n\
+                    CHAN  2: 360 DEG  (STA CHN:  7)     LOCATION: DECK\n\
+            \u{20}2 POINTS OF ACCEL DATA EQUALLY SPACED AT  .020 SEC.  (UNITS: CM/SEC/SEC)\n     \
+            8.750    11.303\n\
             /&  ----------  END OF DATA FOR CHANNEL  7  ----------\n";
         let channels = read(file.as_bytes()).unwrap();
         assert_eq!(

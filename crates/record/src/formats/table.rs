@@ -216,7 +216,8 @@ mod tests {
 
     #[test]
     fn dates_in_the_first_column_are_the_time() {
-        let text = "when,a\n2022-11-04 08:36:24.897,1\n2022-11-04 08:36:24.907,2\n2022-11-04 08:36:24.917,3\n";
+        let text = "when,a\n2022-11-04 08:36:24.897,1\n2022-11-04 08:36:24.907,2\n\
+                    2022-11-04 08:36:24.917,3\n";
         let channels = read_text(text, &ReadOptions::default());
         // Source: `date -u -d '2022-11-04T08:36:24Z' +%s`
         assert_eq!(channels[0].start_ns(), Some(1_667_550_984_897_000_000));

@@ -24,11 +24,14 @@ byte  type  what
   42  u8    1 if the epoch ends with these frames, otherwise 0
   43  u8    0
   44  S bytes                source, UTF-8
-      N times (u64, u64, u64)  epoch and number of the next sample of each node after these frames; 1 if there is none
+      N times (u64, u64, u64)  epoch and number of the next sample of each node after these \
+      frames; 1 if there is none
       F times C times f64    frame after frame, NaN = missing
 
-Frame k was measured at the time of frame 0 + round(k * 10^9 / rate) ns. The log time of the message is that of its first
-frame, or 0 before 1970. The metadata of the channel names structure, channels and nodes, in this order.
+Frame k was measured at the time of frame 0 + round(k * 10^9 / rate) ns. The log time of the \
+message is that of its first
+frame, or 0 before 1970. The metadata of the channel names structure, channels and nodes, in this \
+order.
 ";
 
 /// Size of the head before the source, in bytes.

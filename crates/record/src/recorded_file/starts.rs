@@ -3,8 +3,8 @@
 use crate::recorded::StartTime;
 use crate::{Format, RecordedChannel, TimeOrigin};
 
-/// Largest difference between the stated starts of the channels of an archive (ns). The recorders of
-/// one structure are triggered together.
+/// Largest difference between the stated starts of the channels of an archive (ns). The recorders
+/// of one structure are triggered together.
 const APART_NS: i64 = 1_000_000_000;
 
 /// Moves channels without a reliable start to the first sample of the others, and returns a remark
@@ -24,8 +24,8 @@ pub(super) fn align(
         .collect();
     let is_doubtful = |channel: &&RecordedChannel| channel.start_time() != StartTime::Stated;
     let doubtful = || channels.iter().filter(is_doubtful);
-    // A channel that occurs twice has the name of its file before its own. Such files can be records
-    // of several events.
+    // A channel that occurs twice has the name of its file before its own. Such files can be
+    // records of several events.
     if channels.len() < 2 || doubtful().any(|channel| channel.name().contains('/')) {
         return (channels, remarks);
     }

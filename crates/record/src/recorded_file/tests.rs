@@ -8,7 +8,8 @@ use crate::{OffsetRemoval, RecordReader, Recording, Resampling, TimeOrigin, Time
 const TABLE: &str = "time,roof,base\n0.00,1,5\n0.01,2,6\n0.02,3,7\n";
 
 fn at2(first: f64) -> String {
-    let head = "PEER STRONG MOTION DATABASE RECORD\nHILL\nACCELERATION TIME HISTORY IN UNITS OF G\nNPTS= 2, DT= .01000 SEC\n";
+    let head = "PEER STRONG MOTION DATABASE RECORD\nHILL\n\
+                ACCELERATION TIME HISTORY IN UNITS OF G\nNPTS= 2, DT= .01000 SEC\n";
     format!("{head}{first:>15.7E}{:>15.7E}\n", -0.5)
 }
 

@@ -1,4 +1,5 @@
-//! `spandrel annotate`: notes what people know about a structure, for its judgement of lasting change.
+//! `spandrel annotate`: notes what people know about a structure, for its judgement of lasting
+//! change.
 
 use super::watch::joining_by_default;
 use super::{NO_NAME, own_name, print};

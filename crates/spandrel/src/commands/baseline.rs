@@ -22,8 +22,8 @@ const LARGEST_CONTRADICTED: f64 = 0.95;
 /// Largest share of the time in which the excitation, or the whole response, may be missing, faulty
 /// or in doubt.
 ///
-/// Above this share, the estimate is mostly the prior value. Such recordings would all agree, and the
-/// scatter between recordings would look too small.
+/// Above this share, the estimate is mostly the prior value. Such recordings would all agree, and
+/// the scatter between recordings would look too small.
 const LARGEST_UNMEASURED: f64 = 0.5;
 
 /// Largest number of channels that are left out one after the other. Each costs one more
@@ -183,8 +183,8 @@ fn known_parameters(
             Some(error) => {
                 let _ = writeln!(
                     unknown,
-                    "left out: parameter {name}, which no rule watches: {error}; use recordings with \
-                     more motion, or a std below {} in its [[parameter]]",
+                    "left out: parameter {name}, which no rule watches: {error}; use recordings \
+                     with more motion, or a std below {} in its [[parameter]]",
                     parameter.std()
                 );
             }
@@ -395,7 +395,8 @@ fn report(structure: &Structure, baseline: &Baseline) -> String {
             }
             (Some(Err(error)), Some(found)) => writeln!(
                 text,
-                "  {name:<24} {:.4} ± {:.4} within a record\n    no reference for other records: {error}",
+                "  {name:<24} {:.4} ± {:.4} within a record\n    no reference for other records: \
+                 {error}",
                 found.mean, found.within_std
             ),
             _ => Ok(()),

@@ -23,7 +23,8 @@ use tracing::{info, warn};
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
 
-/// Maximum memory of the matrices of a check (MB). Larger checks take longer than 20 s on two cores.
+/// Maximum memory of the matrices of a check (MB). Larger checks take longer than 20 s on two
+/// cores.
 const MOST_MB: usize = 240;
 
 /// Number of steps of the progress bar.
@@ -95,7 +96,8 @@ fn limit_memory(structure: &Structure, path: &Path) -> Result<(), AppError> {
     }
 }
 
-/// Returns the check of the sensors, which expects what the baseline file has learnt if there is one.
+/// Returns the check of the sensors, which expects what the baseline file has learnt if there is
+/// one.
 fn sensor_check(structure: &Structure, baseline: Option<&Path>) -> Result<SensorCheck, AppError> {
     let mut check = SensorCheck::new(structure);
     let Some(path) = baseline else {

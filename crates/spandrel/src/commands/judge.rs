@@ -1,4 +1,5 @@
-//! `spandrel judge`: judges live estimates, or a series of natural frequencies or stiffnesses offline.
+//! `spandrel judge`: judges live estimates, or a series of natural frequencies or stiffnesses
+//! offline.
 
 use super::run::{Services, one};
 use super::{print, refuse_overwriting};
@@ -14,8 +15,8 @@ use spandrel_structure::{JudgePlan, JudgedStructure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Runs the service, or judges every day of a series and prints what changed, or one line of JSON per
-/// judgement.
+/// Runs the service, or judges every day of a series and prints what changed, or one line of JSON
+/// per judgement.
 ///
 /// # Errors
 /// A file is not valid, a condition has a value that its unit does not allow, or the service fails.
@@ -129,8 +130,8 @@ fn read_series(
     Ok(())
 }
 
-/// Rejects numbers that are not seconds, such as numbers of hours. Read as seconds, they are in 1970
-/// and closer together than epochs.
+/// Rejects numbers that are not seconds, such as numbers of hours. Read as seconds, they are in
+/// 1970 and closer together than epochs.
 fn check_time(
     path: &Path,
     plan: &JudgePlan,
@@ -147,9 +148,9 @@ fn check_time(
                 line,
                 column: plan.time_column.clone(),
                 what: format!(
-                    "read as seconds since 1970, the row is {step_s} s after the previous one, must be \
-                     at least judge.epoch-s, {epoch_s} s; write a time as seconds since 1970, or in \
-                     ISO 8601, such as 2025-01-01T06:00:00Z"
+                    "read as seconds since 1970, the row is {step_s} s after the previous one, \
+                     must be at least judge.epoch-s, {epoch_s} s; write a time as seconds since \
+                     1970, or in ISO 8601, such as 2025-01-01T06:00:00Z"
                 ),
             })
         }

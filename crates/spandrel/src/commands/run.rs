@@ -472,7 +472,8 @@ pub fn run(
                 Ended::Done(result) => break result.and(stopped),
                 Ended::Anew(next) => {
                     match stopped {
-                        // The error is logged, and the next start does not depend on the old service.
+                        // The error is logged, and the next start does not depend on the old
+                        // service.
                         Ok(()) | Err(AppError::NotStopped { .. }) => {}
                         Err(error) => break Err(error),
                     }

@@ -18,6 +18,7 @@ pub fn run(arguments: &TokenArguments) -> Result<(), AppError> {
     };
     let name = Name::new(&*arguments.name)?;
     let secret = Tokens::issue(&arguments.file, name, role, arguments.replace)?;
-    info!(file = %arguments.file.display(), "stored the hash of the token; restart a running page to apply it");
+    info!(file = %arguments.file.display(), "stored the hash of the token; restart a running page \
+                                             to apply it");
     print(&format!("{secret}\n"))
 }

@@ -424,7 +424,8 @@ pub fn events(report: &EventReport, parameter: &ParameterReport) -> String {
         );
         let _ = writeln!(
             svg.text,
-            "<text class=\"tick end{now}\" transform=\"translate({:.1} {:.1}) rotate(-50)\">{}</text>",
+            "<text class=\"tick end{now}\" transform=\"translate({:.1} {:.1}) \
+             rotate(-50)\">{}</text>",
             x + 4.0,
             BOTTOM + 12.0,
             escape(&label)

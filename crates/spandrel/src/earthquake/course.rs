@@ -14,8 +14,8 @@ use spandrel_earthquake::{
 };
 use std::sync::Arc;
 
-/// Time for which the stiffness recovers after shaking (s). Concrete and soil regain most of it within
-/// minutes.
+/// Time for which the stiffness recovers after shaking (s). Concrete and soil regain most of it
+/// within minutes.
 const SETTLING_S: f64 = 300.0;
 /// Half-lives of the filter after which strong motion is forgotten: its information is then 1/16.
 const MEMORY_HALF_LIVES: f64 = 2.0;

@@ -23,7 +23,8 @@ pub const PERIODS_S: [f64; 5] = [0.1, 0.2, 0.5, 1.0, 2.0];
 pub struct EventRecord {
     /// Path of the recording.
     pub path: PathBuf,
-    /// Time of the first row (ns since 1970-01-01 UTC, or since itself if the recording has no dates).
+    /// Time of the first row (ns since 1970-01-01 UTC, or since itself if the recording has no
+    /// dates).
     pub start_ns: i64,
     /// Time of the earthquake (ns since 1970-01-01 UTC), if the recording states no other date.
     pub event_ns: Option<i64>,
@@ -132,8 +133,8 @@ impl EventRecord {
         })
     }
 
-    /// Returns the time of the first sample, or about a minute before it, that of the earthquake (ns
-    /// since 1970-01-01 UTC). `None` if the recording states neither.
+    /// Returns the time of the first sample, or about a minute before it, that of the earthquake
+    /// (ns since 1970-01-01 UTC). `None` if the recording states neither.
     pub fn time_ns(&self) -> Option<i64> {
         let start_ns = (!is_without_date(self.start_ns)).then_some(self.start_ns);
         start_ns.or(self.event_ns)
@@ -212,7 +213,8 @@ impl EventRecord {
     }
 }
 
-/// Returns the periods of the table (s), rising, with the fundamental period unless it is one of them.
+/// Returns the periods of the table (s), rising, with the fundamental period unless it is one of
+/// them.
 fn periods_s(fundamental_s: f64) -> Vec<f64> {
     let mut periods = PERIODS_S.to_vec();
     if !PERIODS_S

@@ -27,8 +27,8 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Returns the time of the first sample (s since 1970-01-01 UTC). `None` if the recording has no
-    /// dates.
+    /// Returns the time of the first sample (s since 1970-01-01 UTC). `None` if the recording has
+    /// no dates.
     fn start_s(&self) -> Option<f64> {
         let start: Timestamp = self.start.as_deref()?.parse().ok()?;
         Some(start.as_second() as f64)
@@ -116,8 +116,8 @@ fn of_structure<'e>(reports: &[&'e Entry]) -> Option<Ranked<'e>> {
     Some(Ranked { urgent, latest })
 }
 
-/// Orders two reports of a structure, the later one first: by the dates if both recordings have one,
-/// otherwise by the order of the command.
+/// Orders two reports of a structure, the later one first: by the dates if both recordings have
+/// one, otherwise by the order of the command.
 fn later_first(a: &Entry, b: &Entry) -> Ordering {
     match (&a.start, &b.start) {
         (Some(of_a), Some(of_b)) if of_a != of_b => of_b.cmp(of_a),
@@ -129,9 +129,11 @@ fn later_first(a: &Entry, b: &Entry) -> Ordering {
 pub fn html(entries: &[Entry], waiting: &[String]) -> String {
     let mut page = head("Earthquake reports");
     page += "<header>\n<p class=\"kicker\">Earthquake reports</p>\n<h1>Order of inspections</h1>\n\
-             </header>\n<section>\n<table class=\"list\">\n<thead><tr><th scope=\"col\">urgency</th>\
+             </header>\n<section>\n<table class=\"list\">\n\
+             <thead><tr><th scope=\"col\">urgency</th>\
              <th scope=\"col\">structure</th><th scope=\"col\">event</th>\
-             <th scope=\"col\">result</th><th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n\
+             <th scope=\"col\">result</th><th scope=\"col\" class=\"n\">peak \
+             (m/s²)</th></tr></thead>\n\
              <tbody>\n";
     for Ranked { urgent, latest } in ranked(entries) {
         page += &row(
@@ -140,11 +142,12 @@ pub fn html(entries: &[Entry], waiting: &[String]) -> String {
             true,
         );
     }
-    page += "</tbody>\n</table>\n<p class=\"note\">The most urgent report of the last two days of each \
-             structure. The most urgent structure is first, then the one with the largest \
+    page += "</tbody>\n</table>\n<p class=\"note\">The most urgent report of the last two days of \
+             each structure. The most urgent structure is first, then the one with the largest \
              acceleration.</p>\n</section>\n\
              <section>\n<h2>All events, the latest first</h2>\n<table class=\"list\">\n<thead><tr>\
-             <th scope=\"col\">urgency</th><th scope=\"col\">structure</th><th scope=\"col\">event</th>\
+             <th scope=\"col\">urgency</th><th scope=\"col\">structure</th><th \
+             scope=\"col\">event</th>\
              <th scope=\"col\">result at that time</th>\
              <th scope=\"col\" class=\"n\">peak (m/s²)</th></tr></thead>\n<tbody>\n";
     let mut all: Vec<&Entry> = entries.iter().collect();

@@ -43,9 +43,9 @@ pub fn html(report: &EventReport) -> String {
          <th scope=\"col\">at the end</th>\
          <th scope=\"col\">weak motion</th>\
          <th scope=\"col\">lasting loss</th></tr></thead>\n<tbody>\n{rows}</tbody>\n</table>\n\
-         <p class=\"note\">Softest: change against the sound stiffness, with its 95 % interval. At the \
-         end: share of the sound stiffness when the record last showed it. Weak motion: ratio to \
-         nominal, and what the earlier events predict.</p>\n{notes}"
+         <p class=\"note\">Softest: change against the sound stiffness, with its 95 % interval. \
+         At the end: share of the sound stiffness when the record last showed it. Weak motion: \
+         ratio to nominal, and what the earlier events predict.</p>\n{notes}"
     )
 }
 

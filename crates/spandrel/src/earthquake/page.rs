@@ -82,8 +82,8 @@ pub fn html(report: &EventReport, channels: &[Vec<f64>], occasion: &str) -> Stri
     for parameter in &report.parameters {
         page += &figure(
             &format!("Stiffness of {}", parameter.name),
-            "Ratio to nominal in each window, with its 95 % interval within this record. Dashed: the \
-             data contradict the model. Windows without a value contain no information.",
+            "Ratio to nominal in each window, with its 95 % interval within this record. Dashed: \
+             the data contradict the model. Windows without a value contain no information.",
             &charts::stiffness(report, parameter),
         );
         if parameter.events.len() > 1 {
@@ -154,7 +154,8 @@ fn sensors(report: &EventReport) -> String {
             short(*period)
         );
     }
-    text += "<th scope=\"col\">health</th></tr>\n<tr class=\"unit\"><td></td><td class=\"n\">m/s²</td>\
+    text += "<th scope=\"col\">health</th></tr>\n\
+             <tr class=\"unit\"><td></td><td class=\"n\">m/s²</td>\
              <td class=\"n\"></td><td class=\"n\">m/s</td><td class=\"n\">s</td>";
     for _ in &periods {
         text += "<td class=\"n\">m/s²</td>";
@@ -165,9 +166,10 @@ fn sensors(report: &EventReport) -> String {
     }
     let _ = write!(
         text,
-        "</tbody>\n</table>\n<p class=\"note\">Sa(T): pseudo-acceleration of an oscillator of period T \
-         with 5 % damping; T = {} s is the first mode as designed. Arias: intensity over the whole \
-         record. D5-95: time between 5 % and 95 % of it. Peaks are against the mean of the record.</p>\n",
+        "</tbody>\n</table>\n<p class=\"note\">Sa(T): pseudo-acceleration of an oscillator of \
+         period T with 5 % damping; T = {} s is the first mode as designed. Arias: intensity over \
+         the whole record. D5-95: time between 5 % and 95 % of it. Peaks are against the mean of \
+         the record.</p>\n",
         short(own)
     );
     let faults = report.sensors.iter().filter_map(|sensor| {
@@ -266,9 +268,9 @@ fn displacements(report: &EventReport) -> String {
             response.at_s
         );
     }
-    text + "</tbody>\n</table>\n<p class=\"note\">Relative to the ground, estimated with the model and \
-            its standard deviation. If the data contradict the model in strong motion, the values are \
-            rough.</p>\n</section>\n"
+    text + "</tbody>\n</table>\n<p class=\"note\">Relative to the ground, estimated with the \
+            model and its standard deviation. If the data contradict the model in strong motion, \
+            the values are rough.</p>\n</section>\n"
 }
 
 fn comparison(parameter: &super::report::ParameterReport) -> String {
@@ -296,8 +298,8 @@ fn comparison(parameter: &super::report::ParameterReport) -> String {
     if let Some(share) = parameter.coverage.share() {
         let _ = writeln!(
             text,
-            "<p class=\"note\">Leave one event out: {} of {} events ({}) lie in the 95 % interval that \
-             the others predict.</p>",
+            "<p class=\"note\">Leave one event out: {} of {} events ({}) lie in the 95 % interval \
+             that the others predict.</p>",
             parameter.coverage.inside,
             parameter.coverage.events,
             percent(share)
@@ -351,7 +353,8 @@ fn basis(report: &EventReport) -> String {
         (
             "rules",
             format!(
-                "strong motion: response above {} m/s²; a loss above {} is raised from probability {}",
+                "strong motion: response above {} m/s²; a loss above {} is raised from \
+                 probability {}",
                 report.settings.strong_above_m_per_s2,
                 percent(report.settings.loss),
                 report.settings.credibility
@@ -369,8 +372,8 @@ fn basis(report: &EventReport) -> String {
     };
     format!(
         "<section class=\"keep\">\n<h2>Basis</h2>\n{described}<dl>\n{rows}</dl>\n\
-         <p class=\"note\">Softening in motion informs and is not damage. Only weak motion after the \
-         shaking can show a lasting loss. A report does not replace an inspection.</p>\n\
+         <p class=\"note\">Softening in motion informs and is not damage. Only weak motion after \
+         the shaking can show a lasting loss. A report does not replace an inspection.</p>\n\
          <p class=\"note\"><a href=\"index.html\">All reports</a></p>\n</section>\n"
     )
 }

@@ -372,8 +372,8 @@ impl EventReport {
         })
     }
 
-    /// Returns the stiffnesses that decide: that of the whole structure if it can be fitted, otherwise
-    /// those of all parameters.
+    /// Returns the stiffnesses that decide: that of the whole structure if it can be fitted,
+    /// otherwise those of all parameters.
     pub fn decisive(&self) -> impl Iterator<Item = &ParameterReport> {
         let is_whole = |parameter: &ParameterReport| parameter.source == Source::WholeStructure;
         let has_whole = self.parameters.iter().any(is_whole);
@@ -390,9 +390,9 @@ impl EventReport {
         !self.parameters.is_empty() && self.decisive().all(is_judged)
     }
 
-    /// Returns the stiffness in weak motion that lies farthest outside the interval that the earlier
-    /// events predict, with its interval. `None` if all lie inside, or if a lasting loss of this
-    /// stiffness is probable: it compares more events.
+    /// Returns the stiffness in weak motion that lies farthest outside the interval that the
+    /// earlier events predict, with its interval. `None` if all lie inside, or if a lasting loss of
+    /// this stiffness is probable: it compares more events.
     pub fn unpredicted(&self) -> Option<(&ParameterReport, f64, Interval)> {
         let each = self.parameters.iter().filter_map(|parameter| {
             let weak = parameter.judgement.weak?;

@@ -27,8 +27,8 @@ pub fn names(structure: &Structure) -> Vec<String> {
 
 /// Returns the motion along each direction, in the order of [`names`].
 ///
-/// All channels pass the band limit of the structure file, which leaves the equation of motion as it
-/// is.
+/// All channels pass the band limit of the structure file, which leaves the equation of motion as
+/// it is.
 ///
 /// # Errors
 /// The band limit is not valid.

@@ -333,7 +333,8 @@ fn lasting_headline(report: &EventReport) -> Option<String> {
             percent(loss.loss),
             probability(loss.probability)
         ),
-        // What other records show says nothing of a record that is not as predicted or shows nothing.
+        // What other records show says nothing of a record that is not as predicted or shows
+        // nothing.
         _ if report.unpredicted().is_some()
             || !(report.shook() || is_predicted(parameter, report)) =>
         {
@@ -342,7 +343,8 @@ fn lasting_headline(report: &EventReport) -> Option<String> {
         loss => match waits {
             Some(waits) => return Some(waits),
             None => format!(
-                "Weak motion shows no lasting loss of more than {} of {name} since {since} (P = {}).",
+                "Weak motion shows no lasting loss of more than {} of {name} since {since} (P = \
+                 {}).",
                 percent(report.settings.loss),
                 probability(loss.probability)
             ),
@@ -458,8 +460,8 @@ fn regained(parameter: &ParameterReport) -> Option<String> {
 /// The judgement of a lasting loss.
 fn lasting(name: &str, loss: &LastingLoss, since: &EventName, report: &EventReport) -> String {
     format!(
-        "Lasting loss of {name} since {}: {} ({}), from {} event{} before and {} since. P(any loss) = \
-         {}, P(more than {}) = {}: {}.",
+        "Lasting loss of {name} since {}: {} ({}), from {} event{} before and {} since. P(any \
+         loss) = {}, P(more than {}) = {}: {}.",
         since.title(),
         percent(loss.loss),
         percent_range(loss.interval.low, loss.interval.high),
@@ -491,9 +493,9 @@ pub fn waits(waiting: Waiting) -> String {
             if found == 1 { "" } else { "s" }
         ),
         Waiting::WeakMotion { found, required } => format!(
-            "a lasting loss since this event is not judged yet. The record has {found} window{} of weak \
-             motion after the shaking, and {required} are required. The judgement waits for an \
-             aftershock or another record of weak motion.",
+            "a lasting loss since this event is not judged yet. The record has {found} window{} \
+             of weak motion after the shaking, and {required} are required. The judgement waits \
+             for an aftershock or another record of weak motion.",
             if found == 1 { "" } else { "s" }
         ),
     }

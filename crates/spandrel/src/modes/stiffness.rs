@@ -108,7 +108,8 @@ pub fn text(analysis: &Analysis) -> String {
     };
     let used = reference.of_model().flatten().count();
     let mut text = format!(
-        "\nstiffness: commissioned in {} epochs; {used} of {} declared modes are modes of the model\n\
+        "\nstiffness: commissioned in {} epochs; {used} of {} declared modes are modes of the \
+         model\n\
          scatter between these epochs: {:.2} % of a frequency, {:.1} % of a shape\n",
         reference.epochs,
         reference.of_model().count(),

@@ -11,8 +11,8 @@ use spandrel_modes::ModesOutput;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Ratio of the scatter of frequencies to their stated deviation above which recordings differ. With
-/// two epochs, chance exceeds it in 0.3 % of the modes, and with more epochs more rarely.
+/// Ratio of the scatter of frequencies to their stated deviation above which recordings differ.
+/// With two epochs, chance exceeds it in 0.3 % of the modes, and with more epochs more rarely.
 const DIFFERS: f64 = 3.0;
 
 /// Recordings of the same channels, and the path by which the user has named them.
@@ -157,8 +157,8 @@ fn differing_text(records: Recordings<'_>, analysis: &Analysis) -> String {
         return String::new();
     }
     format!(
-        "the recordings differ: scatter above {DIFFERS} times the stated deviation in mode {}; --csv \
-         writes the frequencies of each recording\n",
+        "the recordings differ: scatter above {DIFFERS} times the stated deviation in mode {}; \
+         --csv writes the frequencies of each recording\n",
         differing.join(", ")
     )
 }

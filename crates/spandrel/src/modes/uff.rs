@@ -1,7 +1,7 @@
 //! Mode shapes and spectral densities as a universal file, for other programs.
 //!
-//! Source of the layouts: Structural Dynamics Research Corporation, *Universal File Datasets*: numbers
-//! 55 (data at nodes) and 58 (function at a nodal degree of freedom). Field widths are
+//! Source of the layouts: Structural Dynamics Research Corporation, *Universal File Datasets*:
+//! numbers 55 (data at nodes) and 58 (function at a nodal degree of freedom). Field widths are
 //! those of Fortran: `I10` is an integer of ten characters, `E13.5` a number of thirteen.
 
 use super::analysis::Analysis;
@@ -159,7 +159,8 @@ fn function(
     let short: String = printable(name).chars().take(LONGEST_NAME).collect();
     let _ = writeln!(
         text,
-        "{POWER_SPECTRAL_DENSITY:>5}{:>10}{:>5}{:>10} {short:<10}{node:>10}{direction:>4} {:<10}{node:>10}{direction:>4}",
+        "{POWER_SPECTRAL_DENSITY:>5}{:>10}{:>5}{:>10} {short:<10}{node:>10}{direction:>4} \
+         {:<10}{node:>10}{direction:>4}",
         0, 0, 0, short
     );
     // Real, single precision (2), even frequencies (1).

@@ -110,8 +110,8 @@ mod tests {
         };
         assert_eq!(
             warning(&all).unwrap(),
-            "alerts of storey-1, storey-3 were decided for only 12 to 25 % of the time, so that a loss \
-             can be missed"
+            "alerts of storey-1, storey-3 were decided for only 12 to 25 % of the time, so that a \
+             loss can be missed"
         );
         assert_eq!(warning(&all[1..2]), None);
     }
@@ -129,8 +129,9 @@ mod tests {
         };
         assert_eq!(
             summary.words(),
-            "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: the estimate or its \
-             reference is too uncertain to reveal even twice the loss of the rule"
+            "decided 88.2 % of the time; undecided 1.8 %: the data contradict the model, 10 %: \
+             the estimate or its reference is too uncertain to reveal even twice the loss of the \
+             rule"
         );
         assert_eq!(DecidedSummary::of(&DecidedFrames::default()), None);
     }

@@ -106,8 +106,8 @@ impl Summary {
             };
             writeln!(
                 text,
-                "  noise of {name:<15} {found_std:.3e}{unit}, {ratio:.2} times the {stated_std:.3e}{unit} of the file (standard \
-                 deviations)"
+                "  noise of {name:<15} {found_std:.3e}{unit}, {ratio:.2} times the \
+                 {stated_std:.3e}{unit} of the file (standard deviations)"
             )?;
         }
         if let Some(misfit) = self.misfit {

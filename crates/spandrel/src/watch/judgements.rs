@@ -14,8 +14,8 @@ pub fn judgement_texts(structure: &StructureState) -> impl Iterator<Item = Strin
     structure.judgements.values().map(words)
 }
 
-/// Returns word and sentence of each quantity for the panel. A lasting loss is red, and a lasting gain
-/// yellow.
+/// Returns word and sentence of each quantity for the panel. A lasting loss is red, and a lasting
+/// gain yellow.
 pub fn judgement_spans(structure: &StructureState) -> Vec<Span<'static>> {
     let span = |display: &JudgementDisplay| {
         let style = match &display.change {

@@ -173,9 +173,10 @@ mod tests {
         assert_eq!(
             lines([silent, before, excluded].map(Input::Node)),
             [
-                "2024-02-29 12:01:00 UTC node tower/floor-8 silent since 2024-02-29 12:00:48 UTC, distance –, – B/s",
-                "2024-02-29 12:01:00 UTC node tower/floor-20 excluded since 2024-02-29 12:00:00 UTC, \
-                 distance 21.1 of 5.4, 500 B/s from it, 100 B/s to it",
+                "2024-02-29 12:01:00 UTC node tower/floor-8 silent since 2024-02-29 12:00:48 UTC, \
+                 distance –, – B/s",
+                "2024-02-29 12:01:00 UTC node tower/floor-20 excluded since 2024-02-29 12:00:00 \
+                 UTC, distance 21.1 of 5.4, 500 B/s from it, 100 B/s to it",
             ]
         );
     }
@@ -187,7 +188,8 @@ mod tests {
         assert_eq!(
             lines([Input::Node(discounted)]),
             [
-                "2024-02-29 12:01:00 UTC node tower/floor-20 alive, distance 7.2 of 5.4, counts 0.56, – B/s"
+                "2024-02-29 12:01:00 UTC node tower/floor-20 alive, distance 7.2 of 5.4, counts \
+                 0.56, – B/s"
             ]
         );
     }

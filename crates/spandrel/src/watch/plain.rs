@@ -182,9 +182,9 @@ mod tests {
     fn a_structure_is_one_line() {
         assert_eq!(
             line(&damaged_tower()),
-            "2024-02-29 12:00:59 UTC tower storey-1 1.002 ± 0.011 normal, storey-2 0.858 ± 0.011 raised, \
-             storey-3 1.002 ± 0.011 normal, storey-4 1.002 ± 0.011 normal, storey-5 1.002 ± 0.011 normal; \
-             ingest/a lag 0.12 s, identify/a lag 0.21 s drops 3, alert/a lag 0.25 s"
+            "2024-02-29 12:00:59 UTC tower storey-1 1.002 ± 0.011 normal, storey-2 0.858 ± 0.011 \
+             raised, storey-3 1.002 ± 0.011 normal, storey-4 1.002 ± 0.011 normal, storey-5 1.002 \
+             ± 0.011 normal; ingest/a lag 0.12 s, identify/a lag 0.21 s drops 3, alert/a lag 0.25 s"
         );
     }
 

@@ -89,8 +89,8 @@ pub fn alert(parameter: &str, second: i64, state: AlertState) -> AlertMessage {
         undecided_because: None,
         revision: 0,
         why: format!(
-            "{parameter} has lost 14.2 % of its stiffness (95 % interval 12.1 to 16.3 %), more than 5 % with \
-             probability 0.997, since 2024-02-29 12:00:40 UTC"
+            "{parameter} has lost 14.2 % of its stiffness (95 % interval 12.1 to 16.3 %), more \
+             than 5 % with probability 0.997, since 2024-02-29 12:00:40 UTC"
         ),
     }
 }

@@ -362,8 +362,9 @@ impl fmt::Display for Finding {
                 highest_frequency_hz,
             } => write!(
                 f,
-                "each time step is cut into {substeps} substeps, because the model reaches {highest_frequency_hz:.1} Hz: \
-                 a higher sampling rate or a coarser model would be cheaper"
+                "each time step is cut into {substeps} substeps, because the model reaches \
+                 {highest_frequency_hz:.1} Hz: a higher sampling rate or a coarser model would be \
+                 cheaper"
             ),
             Self::RestsOnExcitation {
                 parameter,
@@ -383,7 +384,8 @@ impl fmt::Display for Finding {
             } => {
                 write!(
                     f,
-                    "the level of {level} is stated and not identified; if it is {factor} times as large, or as small: "
+                    "the level of {level} is stated and not identified; if it is {factor} times \
+                     as large, or as small: "
                 )?;
                 write_shifts(f, shifts)
             }
@@ -426,7 +428,8 @@ impl fmt::Display for Finding {
                 }
                 write!(
                     f,
-                    "at {frequency_hz:.1} Hz, where the recorded band ends, {:.1} % of it is lost and its error is {:.0} %",
+                    "at {frequency_hz:.1} Hz, where the recorded band ends, {:.1} % of it is lost \
+                     and its error is {:.0} %",
                     100.0 * loss,
                     100.0 * error
                 )
@@ -439,8 +442,8 @@ impl fmt::Display for Finding {
             } => {
                 write!(
                     f,
-                    "a building of {storeys} storeys with a period of {period_s:.3} s is implausible, such buildings have \
-                     {low:.2} to {high:.1} s"
+                    "a building of {storeys} storeys with a period of {period_s:.3} s is \
+                     implausible, such buildings have {low:.2} to {high:.1} s"
                 )?;
                 cause
                     .as_ref()
@@ -448,7 +451,8 @@ impl fmt::Display for Finding {
             }
             Self::UnequalStoreys { what, lower, ratio } => write!(
                 f,
-                "the {what} of storeys {lower} and {} differs by a factor of {ratio:.0}: is one of them in another unit?",
+                "the {what} of storeys {lower} and {} differs by a factor of {ratio:.0}: is one \
+                 of them in another unit?",
                 lower + 1
             ),
             Self::LightFloors { heaviest_kg } => write!(
@@ -474,7 +478,8 @@ impl fmt::Display for Finding {
             ),
             Self::ParticlesInTime { needed_s, step_s } => write!(
                 f,
-                "a step of the particles takes about {:.1} ms on one core, and frames come every {:.1} ms: fast enough",
+                "a step of the particles takes about {:.1} ms on one core, and frames come every \
+                 {:.1} ms: fast enough",
                 1e3 * needed_s,
                 1e3 * step_s
             ),

@@ -367,11 +367,13 @@ fn parallel_springs_are_not_identifiable() {
     let text = OSCILLATOR
         .replace(
             "kind = \"shear-building\"\nmasses-kg = [2]\nstiffnesses-n-per-m = [200]",
-            "kind = \"matrices\"\nmass = \"m.mtx\"\nsubstructures = { left = \"k.mtx\", right = \"k.mtx\" }",
+            "kind = \"matrices\"\nmass = \"m.mtx\"\n\
+             substructures = { left = \"k.mtx\", right = \"k.mtx\" }",
         )
         .replace(
             "of = [\"storey-1\"]",
-            "of = [\"left\"]\n[[parameter]]\nname = \"other\"\nscales = \"stiffness\"\nof = [\"right\"]",
+            "of = [\"left\"]\n[[parameter]]\nname = \"other\"\nscales = \"stiffness\"\n\
+             of = [\"right\"]",
         );
     let structure = Structure::parse(&text, &folder.path().join("tower.toml"))
         .unwrap_or_else(|e| panic!("{e}"));

@@ -172,7 +172,8 @@ fn read_reference(
         let word = section.text("reference")?;
         let design = word.get_ref() == "design";
         let allowed = if design {
-            "must state how far the design may be off: { design-std = 0.05 }, or { learn-s = … } to learn the reference"
+            "must state how far the design may be off: { design-std = 0.05 }, or { learn-s = … } \
+             to learn the reference"
         } else {
             REFERENCE_RULE
         };

@@ -157,8 +157,9 @@ fn read_shear_building(section: &mut Section<'_>) -> Option<ShearBuilding> {
     let given = |keys: &[&'static str]| keys.iter().copied().find(|key| section.contains(key));
     if let (Some(single), Some(equal)) = (given(&SINGLE), given(&EQUAL)) {
         let found = format!("is given together with {single}");
-        let allowed = "must give either masses-kg and stiffnesses-n-per-m, one number per storey, or storeys and mass-kg \
-                       with stiffness-n-per-m or first-frequency-hz, for equal storeys";
+        let allowed = "must give either masses-kg and stiffnesses-n-per-m, one number per storey, \
+                       or storeys and mass-kg with stiffness-n-per-m or first-frequency-hz, for \
+                       equal storeys";
         section
             .diagnostics()
             .report(section.span_of(equal), section.key(equal), found, allowed);

@@ -59,7 +59,8 @@ mod tests {
     #[test]
     fn condition_has_the_unit_range_and_interval_of_the_file() {
         let text = format!(
-            "{DEMO}\n[[condition]]\nname = \"deck-temperature\"\nunit = \"degC\"\nrange = [-40, 60]\n\
+            "{DEMO}\n[[condition]]\nname = \"deck-temperature\"\nunit = \"degC\"\n\
+             range = [-40, 60]\n\
              interval-s = 600\n[[condition]]\nname = \"wind\"\nunit = \"m/s\"\n"
         );
         let structure = read(&text).unwrap();
@@ -76,8 +77,10 @@ mod tests {
     #[test]
     fn mistakes_of_a_condition_are_named() {
         let text = format!(
-            "{DEMO}\n[[condition]]\nname = \"air\"\nunit = \"C\"\nrange = [60, -40]\ninterval-s = 0\n\
-             [[condition]]\nname = \"air\"\nunit = \"K\"\ncolour = \"red\"\n[[condition]]\nname = \"air\"\nunit = \"%\"\n"
+            "{DEMO}\n[[condition]]\nname = \"air\"\nunit = \"C\"\nrange = [60, -40]\n\
+             interval-s = 0\n\
+             [[condition]]\nname = \"air\"\nunit = \"K\"\ncolour = \"red\"\n[[condition]]\n\
+             name = \"air\"\nunit = \"%\"\n"
         );
         let found = mistakes(&text);
         let expected = [

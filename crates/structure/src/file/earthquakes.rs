@@ -84,7 +84,8 @@ fn read_again(section: &mut Section<'_>) -> Option<Vec<f64>> {
         section.key("again-after-s"),
         format!("is [{}]", shown.join(", ")),
         format!(
-            "must be at most {MOST_REPORTS} times from {shortest} to {longest} s in increasing order"
+            "must be at most {MOST_REPORTS} times from {shortest} to {longest} s in increasing \
+             order"
         ),
     );
     None

@@ -169,7 +169,8 @@ fn read_std(section: &mut Section<'_>, rate_hz: Option<f64>) -> Option<f64> {
         } else {
             "is missing"
         };
-        let allowed = "must give either std (of one sample, m/s2 or N) or spectral-intensity (its square times s per rad)";
+        let allowed = "must give either std (of one sample, m/s2 or N) or spectral-intensity (its \
+                       square times s per rad)";
         section
             .diagnostics()
             .report(section.span(), section.key("std"), found, allowed);

@@ -182,7 +182,8 @@ pub(super) fn check_particles(
         }
     }
     if let Some(distributed) = distributed.filter(|is| *is.get_ref()) {
-        let allowed = "must not be distributed with filter.kind = \"particle\": nodes exchange Gaussian densities";
+        let allowed = "must not be distributed with filter.kind = \"particle\": nodes exchange \
+                       Gaussian densities";
         file.diagnostics().report(
             distributed.span(),
             "structure.identification",

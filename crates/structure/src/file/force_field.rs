@@ -130,7 +130,8 @@ fn read_deviations(
         } else {
             "is missing"
         };
-        let allowed = "must give either std (of one sample of each force, N), intensity (a share of mean) or covariance";
+        let allowed = "must give either std (of one sample of each force, N), intensity (a share \
+                       of mean) or covariance";
         section
             .diagnostics()
             .report(section.span(), section.key("std"), found, allowed);

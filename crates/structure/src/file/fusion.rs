@@ -372,7 +372,8 @@ fn check_rate(
                 None => (section.span(), "fusion.rate-hz".to_owned()),
             };
             let allowed = format!(
-                "must be the sampling rate of each node, such as {rate_hz}, divided by a whole number"
+                "must be the sampling rate of each node, such as {rate_hz}, divided by a whole \
+                 number"
             );
             section
                 .diagnostics()

@@ -42,7 +42,8 @@ pub(super) struct ModelRead {
     pub(super) modes: Modes,
 }
 
-/// Reads `[model]`; the damping of the result is still zero. The kind `modal` gives an empty system.
+/// Reads `[model]`; the damping of the result is still zero. The kind `modal` gives an empty
+/// system.
 pub(super) fn read_model(mut section: Section<'_>) -> Option<ModelRead> {
     let kind = section.required_choice("kind", &KINDS)?;
     let system = match kind.into_inner() {

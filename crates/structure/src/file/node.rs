@@ -148,7 +148,8 @@ fn read_channel(mut section: Section<'_>, system: Option<&LinearSystem>) -> Opti
     if let Some(quantity @ (Quantity::Displacement | Quantity::Strain)) = quantity
         && system.is_some_and(|system| system.hysteresis.is_some())
     {
-        let allowed = "must be a velocity or an acceleration for the kind bouc-wen, which does not follow displacements";
+        let allowed = "must be a velocity or an acceleration for the kind bouc-wen, which does \
+                       not follow displacements";
         section.diagnostics().report(
             section.span(),
             section.key("quantity"),

@@ -134,7 +134,8 @@ fn record_map_converts_times_and_rates() {
     );
     assert!(record.columns().iter().all(|column| !column.states_unit()));
     let text = format!(
-        "{DEMO}\n[record]\ntime-column = \"\"\ntime-unit = \"us\"\nresample = true\ncolumns.floor-1.unit = \"g\"\n"
+        "{DEMO}\n[record]\ntime-column = \"\"\ntime-unit = \"us\"\nresample = true\n\
+         columns.floor-1.unit = \"g\"\n"
     );
     let declared = read(&text).unwrap();
     let record = declared.record();
@@ -271,7 +272,8 @@ fn numbers_whose_frequencies_overflow_are_refused() {
     assert_eq!(
         mistakes_after("first-frequency-hz = 1.0", "first-frequency-hz = 1e200"),
         [
-            "model.kind: has no natural frequencies, must have masses and stiffnesses of real structures"
+            "model.kind: has no natural frequencies, must have masses and stiffnesses of real \
+             structures"
         ]
     );
 }
@@ -281,7 +283,8 @@ fn a_value_of_the_wrong_type_is_refused() {
     assert_eq!(
         mistakes_after("sampling-rate-hz = 100", "sampling-rate-hz = \"fast\""),
         [
-            "structure.sampling-rate-hz: is \"fast\", must be a finite number from 0.001 and up to 20000"
+            "structure.sampling-rate-hz: is \"fast\", must be a finite number from 0.001 and up \
+             to 20000"
         ]
     );
     assert_eq!(
@@ -337,7 +340,8 @@ fn parameter_without_a_known_substructure_is_rejected() {
     assert_eq!(
         mistakes_after("of = [\"storey-3\"]", "of = [\"storey-33\"]"),
         [
-            "parameter.of: is \"storey-33\", must be one of storey-1, storey-2, storey-3, storey-4, storey-5"
+            "parameter.of: is \"storey-33\", must be one of storey-1, storey-2, storey-3, \
+             storey-4, storey-5"
         ]
     );
     assert_eq!(
@@ -357,7 +361,8 @@ fn a_parameter_without_effect_is_refused() {
     assert_eq!(
         mistakes(&text),
         [
-            "parameter.scales: has no effect: there is no beta, must scale a damping coefficient of [damping] that is not zero"
+            "parameter.scales: has no effect: there is no beta, must scale a damping coefficient \
+             of [damping] that is not zero"
         ]
     );
 }
@@ -367,7 +372,8 @@ fn substructure_scaled_twice_is_rejected() {
     assert_eq!(
         mistakes_after("of = [\"storey-2\"]", "of = [\"storey-1\", \"storey-2\"]"),
         [
-            "parameter.of: scales storey-1 as parameter \"storey-1\" does, must scale what no other parameter scales"
+            "parameter.of: scales storey-1 as parameter \"storey-1\" does, must scale what no \
+             other parameter scales"
         ]
     );
 }
@@ -399,7 +405,8 @@ fn name_with_invalid_characters_is_rejected() {
     assert_eq!(
         mistakes_after("name = \"demo\"", "name = \"Demo/Tower\""),
         [
-            "structure.name: is \"Demo/Tower\", must be a name of 1 to 64 lower-case letters, digits and hyphens"
+            "structure.name: is \"Demo/Tower\", must be a name of 1 to 64 lower-case letters, \
+             digits and hyphens"
         ]
     );
 }
@@ -409,14 +416,14 @@ fn unused_ground_channel_is_rejected() {
     assert_eq!(
         mistakes_after("measured-on = \"ground\"\n", ""),
         [
-            "node.channel.name: is \"ground\", which measures ground-acceleration for no excitation, must be named by \
-          measured-on of an [[excitation]]"
+            "node.channel.name: is \"ground\", which measures ground-acceleration for no \
+             excitation, must be named by measured-on of an [[excitation]]"
         ]
     );
     assert_eq!(
         mistakes_after("measured-on = \"ground\"\n", "measured-on = \"floor-1\"\n")[0],
-        "excitation.measured-on: is \"floor-1\", a channel of absolute-acceleration, must be a channel of \
-         ground-acceleration: ground"
+        "excitation.measured-on: is \"floor-1\", a channel of absolute-acceleration, must be a \
+         channel of ground-acceleration: ground"
     );
     assert_eq!(
         mistakes_after("measured-on = \"ground\"\n", "measured-on = \"grund\"\n")[0],
@@ -432,7 +439,8 @@ fn sensors_of_one_noise_group_must_have_the_same_noise() {
     assert_eq!(
         mistakes(&text),
         [
-            "node.channel.noise-std: differs from the others of noise group \"floors\", must be the same within a group"
+            "node.channel.noise-std: differs from the others of noise group \"floors\", must be \
+             the same within a group"
         ]
     );
 }
@@ -466,14 +474,16 @@ fn a_node_slower_than_the_structure_must_divide_its_rate() {
     assert_eq!(
         mistakes_after(node, &with_rate("40")),
         [
-            "node.sampling-rate-hz: is 40, must be 100 (the structure's) or that divided by a whole number"
+            "node.sampling-rate-hz: is 40, must be 100 (the structure's) or that divided by a \
+             whole number"
         ]
     );
 }
 
 #[test]
 fn clocks_of_unknown_nodes_and_absurd_drifts_are_refused() {
-    let clocks = "[simulation]\nclock-offsets-s = { floor-9 = 1 }\nclock-drifts-ppm = { floor-1 = 10_001, floor-2 = -50 }\n";
+    let clocks = "[simulation]\nclock-offsets-s = { floor-9 = 1 }\n\
+                  clock-drifts-ppm = { floor-1 = 10_001, floor-2 = -50 }\n";
     let found = mistakes(&DEMO.replacen("[simulation]\n", clocks, 1));
     assert_eq!(found.len(), 2, "{found:?}");
     assert!(
@@ -482,7 +492,8 @@ fn clocks_of_unknown_nodes_and_absurd_drifts_are_refused() {
     );
     assert_eq!(
         found[1],
-        "simulation.clock-drifts-ppm.floor-1: is 10001, must be a finite number from -10000 and up to 10000"
+        "simulation.clock-drifts-ppm.floor-1: is 10001, must be a finite number from -10000 and \
+         up to 10000"
     );
 }
 
@@ -748,11 +759,14 @@ noise-std = 1e-4
     proptest::proptest! {
         #[test]
         fn any_matrix_file_gives_a_structure_or_an_error(
-            kind in "(coordinate|array) (real|integer|complex|pattern) (general|symmetric|skew-symmetric|hermitian)",
-            body in "([0-9]{1,30}|-?[0-9]\\.[0-9]e[0-9]{1,3}|NaN|inf|[ \n%])( |\n)([0-9 \n.e+-]{0,40})",
+            kind in "(coordinate|array) (real|integer|complex|pattern) \
+                     (general|symmetric|skew-symmetric|hermitian)",
+            body in "([0-9]{1,30}|-?[0-9]\\.[0-9]e[0-9]{1,3}|NaN|inf|[ \n%])( |\n)([0-9 \n\
+                     .e+-]{0,40})",
         ) {
             let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n{body}"), UPPER);
-            let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n2 2 1\n{body}"), UPPER);
+            let _ = read_with(FILE, MASS, &format!("%%MatrixMarket matrix {kind}\n2 2 1\n\
+                                                    {body}"), UPPER);
         }
     }
 }
@@ -868,7 +882,8 @@ fn error_names_mistakes_of_a_field_of_forces() {
     assert_eq!(
         found("dofs = \"all\"", "dofs = \"some\""),
         [
-            "excitation.dofs: is \"some\", must be \"all\" or a list of degrees of freedom, each once"
+            "excitation.dofs: is \"some\", must be \"all\" or a list of degrees of freedom, each \
+             once"
         ]
     );
     assert_eq!(
@@ -893,8 +908,9 @@ fn error_names_mistakes_of_a_field_of_forces() {
     assert_eq!(
         found("level = 3.1623", "measured-on = \"floor-1\""),
         [
-            "excitation.measured-on: is not a known key, must be one of name, kind, adapt, level-factor, level, dofs, mean, covariance, std, \
-          intensity, correlation-length, positions"
+            "excitation.measured-on: is not a known key, must be one of name, kind, adapt, \
+             level-factor, level, dofs, mean, covariance, std, intensity, correlation-length, \
+             positions"
         ]
     );
 }
@@ -944,7 +960,8 @@ fn settings_that_require_a_parameter_are_rejected_without_one() {
 fn a_response_is_a_displacement_a_velocity_or_a_strain() {
     let with = |quantity: &str| {
         let response = format!(
-            "[[response]]\nname = \"roof\"\nquantity = \"{quantity}\"\ndof = \"floor-5\"\n\n[filter]"
+            "[[response]]\nname = \"roof\"\nquantity = \"{quantity}\"\ndof = \"floor-5\"\n\n\
+             [filter]"
         );
         DEMO.replace("[filter]", &response)
     };
@@ -954,9 +971,8 @@ fn a_response_is_a_displacement_a_velocity_or_a_strain() {
     );
     assert_eq!(
         mistakes(&with("force")),
-        [
-            "response.quantity: is \"force\", must be one of \"displacement\", \"velocity\", \"strain\""
-        ]
+        ["response.quantity: is \"force\", must be one \
+             of \"displacement\", \"velocity\", \"strain\""]
     );
     let twice = with("displacement").replace("name = \"roof\"", "name = \"storey-1\"");
     assert_eq!(
@@ -998,8 +1014,8 @@ fn error_suggests_a_deviation_for_the_design_reference() {
     assert_eq!(
         found("\"design\""),
         [
-            "alert.reference: is \"design\", must state how far the design may be off: { design-std = 0.05 }, or { learn-s = … } to \
-          learn the reference"
+            "alert.reference: is \"design\", must state how far the design may be off: { \
+             design-std = 0.05 }, or { learn-s = … } to learn the reference"
         ]
     );
     assert_eq!(

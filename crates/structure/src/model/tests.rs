@@ -44,7 +44,8 @@ fn channels_of(rows: &[(&str, &str, &str)]) -> String {
         let channel = "[[node.channel]]";
         writeln!(
             text,
-            "{channel}\nname = \"{quantity}\"\nquantity = \"{quantity}\"\n{place}\nunit = \"{unit}\"\nnoise-std = 1"
+            "{channel}\nname = \"{quantity}\"\nquantity = \"{quantity}\"\n{place}\n\
+             unit = \"{unit}\"\nnoise-std = 1"
         )
         .unwrap();
     }
@@ -105,7 +106,8 @@ fn shear_building() -> Structure {
     ))
 }
 
-const CONSISTENT_MASS: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 5\n1 1 2\n2 1 0.3\n2 2 1.5\n3 2 -0.2\n3 3 1\n";
+const CONSISTENT_MASS: &str = "%%MatrixMarket matrix coordinate real symmetric\n3 3 5\n1 1 2\n\
+                               2 1 0.3\n2 2 1.5\n3 2 -0.2\n3 3 1\n";
 const LOW: &str =
     "%%MatrixMarket matrix coordinate real symmetric\n3 3 3\n1 1 1600\n2 1 -700\n2 2 700\n";
 const HIGH: &str =
@@ -208,7 +210,8 @@ fn dashpots() -> Structure {
         "\n[[excitation]]",
     );
     let dashpots = "[damping]\nkind = \"dashpots\"\ncoefficients-n-s-per-m = [4, 3, 2]\n";
-    let scaled = "[[parameter]]\nname = \"dashpots\"\nscales = \"damping\"\nof = [\"storey-1\", \"storey-3\"]\n";
+    let scaled = "[[parameter]]\nname = \"dashpots\"\nscales = \"damping\"\n\
+                  of = [\"storey-1\", \"storey-3\"]\n";
     let rest = text.find(excitation).unwrap();
     parse(&format!(
         "{}{dashpots}{}{scaled}{}",

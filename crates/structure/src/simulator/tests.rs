@@ -125,7 +125,8 @@ fn a_first_order_hold_is_the_limit_of_small_held_steps() {
 fn chain(model: &str, hold: &str, std: f64) -> Structure {
     let floors = [1, 2, 3].map(|floor| {
         format!(
-            "[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"velocity\"\ndof = {floor}\nunit = \"m/s\"\n\
+            "[[node.channel]]\nname = \"floor-{floor}\"\nquantity = \"velocity\"\ndof = {floor}\n\
+             unit = \"m/s\"\n\
              noise-std = 1e-30\n"
         )
     });

@@ -216,8 +216,8 @@ fn levels(name: &str, seed: u64, actual: [f64; 2], from_s: f64, seconds: f64) ->
         ..
     } = &found;
     println!(
-        "{name}, seed {seed}, {seconds} s: estimate/actual {mean:.3?}, scatter {scatter:.3?}, stated {stated:.4?}, \
-         coverage {coverage:.3?}"
+        "{name}, seed {seed}, {seconds} s: estimate/actual {mean:.3?}, scatter {scatter:.3?}, \
+         stated {stated:.4?}, coverage {coverage:.3?}"
     );
     found
 }
@@ -400,8 +400,9 @@ fn follow_sixty_storeys(structure: Structure, seed: u64, seconds: f64) -> Follow
         misfit,
     } = &followed;
     println!(
-        "sixty-storeys, seed {seed}, {seconds} s: relative errors {relative_displacement:.4} and {relative_velocity:.4}, \
-         velocity {low:.3e} to {high:.3e} m/s, inside {inside:.4}, misfit {misfit:.4}"
+        "sixty-storeys, seed {seed}, {seconds} s: relative errors {relative_displacement:.4} and \
+         {relative_velocity:.4}, velocity {low:.3e} to {high:.3e} m/s, inside {inside:.4}, misfit \
+         {misfit:.4}"
     );
     followed
 }

@@ -79,7 +79,8 @@ fn assert_identified(
         );
         assert!(
             (mean - truth).abs() < 5.0 * std && std < largest_std,
-            "parameter {index}: expected {truth}, found {mean}, standard deviation {std}, allowed {largest_std}"
+            "parameter {index}: expected {truth}, found {mean}, standard deviation {std}, allowed \
+             {largest_std}"
         );
     }
 }
@@ -139,7 +140,8 @@ fn assert_converges(name: &str, stiffnesses: usize, seconds: f64, largest_error:
         );
         assert!(
             (mean - 1.0).abs() < (5.0 * std).min(largest_error),
-            "{name}, parameter {}: found {mean}, standard deviation {std}, allowed error {largest_error}",
+            "{name}, parameter {}: found {mean}, standard deviation {std}, allowed error \
+             {largest_error}",
             index - physical
         );
     }

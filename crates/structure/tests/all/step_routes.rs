@@ -145,7 +145,8 @@ fn one_step_is_the_same_by_blocks_and_by_the_operator() {
                 let (mean, covariance) = routes.differences();
                 assert!(
                     mean < tolerance && covariance < tolerance,
-                    "{what}, seed {seed}, {samples} samples: mean off by {mean:e}, covariance by {covariance:e}"
+                    "{what}, seed {seed}, {samples} samples: mean off by {mean:e}, covariance by \
+                     {covariance:e}"
                 );
             }
         }

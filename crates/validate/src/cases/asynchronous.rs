@@ -261,13 +261,23 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         accuracy.rms_error()
     };
     figures.extend([
-        Figure::new("synchronous, one filter: mean error of stiffness", error(&in_one), Required::Reported),
+        Figure::new(
+            "synchronous, one filter: mean error of \
+                     stiffness",
+            error(&in_one),
+            Required::Reported,
+        ),
         Figure::new(
             "synchronous, one filter: least share of a stiffness within 3 deviations",
             coverage(&in_one),
             Required::Reported,
         ),
-        Figure::new("asynchronous, one filter: mean error of stiffness", error(&in_one_shifted), Required::Reported),
+        Figure::new(
+            "asynchronous, one filter: mean error of \
+                     stiffness",
+            error(&in_one_shifted),
+            Required::Reported,
+        ),
         Figure::new(
             "asynchronous, one filter: least share of a stiffness within 3 deviations",
             coverage(&in_one_shifted),
@@ -289,11 +299,17 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             judged(Required::AtLeast(0.95)),
         ),
         Figure::new(
-            "a filter a node, before the first damage: rms difference of asynchronous and synchronous",
+            "a filter a node, before the first damage: rms difference of asynchronous and \
+             synchronous",
             difference,
             judged(Required::AtMost(0.015)),
         ),
-        Figure::new("nodes started anew, times", fused.restarts.iter().sum::<u64>() as f64, Required::Reported),
+        Figure::new(
+            "nodes started anew, \
+                     times",
+            fused.restarts.iter().sum::<u64>() as f64,
+            Required::Reported,
+        ),
     ]);
     let mut plots = Vec::new();
     for (group, at_s) in DAMAGED.into_iter().zip(damages) {

@@ -118,7 +118,10 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     );
     figures.push(run.pick(
         share.clone(),
-        share.known_miss("in the short record, the repair of an error of less than 1 % takes a good part of the time"),
+        share.known_miss(
+            "in the short record, the repair of an error of less than 1 % takes a \
+                          good part of the time",
+        ),
     ));
     let after_second = seen.calibrations(second_s, seconds);
     let classes: std::collections::BTreeSet<usize> = after_second

@@ -228,7 +228,10 @@ fn example(run: &Run<'_>, example: &Example) -> Result<Outcome, ValidateError> {
             judged(Required::AtMost(example.errors.1)),
         ));
         figures.push(Figure::new(
-            format!("{name}: least share of a stiffness within 3 deviations, outside of 20 s after a damage"),
+            format!(
+                "{name}: least share of a stiffness within 3 deviations, outside of 20 s \
+                     after a damage"
+            ),
             coverage(&fused[..example.groups], &damages),
             judged(Required::AtLeast(0.95)),
         ));
@@ -448,7 +451,8 @@ fn freezing(published: &Fused, structure: &Structure, example: &Example) -> Vec<
     let last = course.points.len();
     vec![
         Figure::new(
-            "published rule: factor by which the deviation of the first stiffness shrinks in a fusion",
+            "published rule: factor by which the deviation of the first stiffness shrinks in a \
+             fusion",
             ratio,
             Required::Within {
                 of: expected,

@@ -20,7 +20,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Reason why some of the published variants miss their requirements.
-const VARIANCES_ALONE: &str = "variances alone drop the correlation of neighbouring bars; the default sends the whole covariance";
+const VARIANCES_ALONE: &str = "variances alone drop the correlation of neighbouring bars; the \
+                               default sends the whole covariance";
 
 /// One variant, given by keys of `[fusion]`.
 struct Variant {
@@ -192,7 +193,8 @@ pub(super) fn truss(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         "node over fused",
         "started anew",
     ];
-    let title = "Nodes and station in each way: means, deviation of a node over the fused one, nodes that started anew";
+    let title = "Nodes and station in each way: means, deviation of a node over the fused one, \
+                 nodes that started anew";
     let tables = vec![Table {
         title: title.to_owned(),
         columns: columns.map(str::to_owned).to_vec(),

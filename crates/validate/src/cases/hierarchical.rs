@@ -291,8 +291,12 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     };
     figures.extend([
         Figure::new(
-            "largest masking of a channel, of spikes farther than six scales of the residuals from the clean sample",
-            rates.iter().map(|rates| share(rates.gross_masked)).fold(0.0, larger),
+            "largest masking of a channel, of spikes farther than six scales of the residuals \
+             from the clean sample",
+            rates
+                .iter()
+                .map(|rates| share(rates.gross_masked))
+                .fold(0.0, larger),
             judged(Required::AtMost(0.02)),
         )
         .published(0.0008),
@@ -350,12 +354,19 @@ pub(super) fn building(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         ]
     });
     let table = Table {
-        title:
-            "Local masking (of detectable spikes) and swamping, and share of the fusions that leave the node out (%)"
-                .to_owned(),
-        columns: ["node", "displacement, masking", "swamping", "acceleration, masking", "swamping", "left out"]
-            .map(str::to_owned)
-            .to_vec(),
+        title: "Local masking (of detectable spikes) and swamping, and share of the fusions that \
+             leave the node out (%)"
+            .to_owned(),
+        columns: [
+            "node",
+            "displacement, masking",
+            "swamping",
+            "acceleration, masking",
+            "swamping",
+            "left out",
+        ]
+        .map(str::to_owned)
+        .to_vec(),
         rows: rows.collect(),
     };
     let mut plots = vec![swamping];

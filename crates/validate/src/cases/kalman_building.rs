@@ -13,7 +13,8 @@ use std::f64::consts::PI;
 
 const FLOORS: usize = 60;
 /// Reason why figures in absolute units scatter by seed.
-const OF_THE_RECORD: &str = "200 s are 33 periods of the first mode: the motion, and the noise that is 5 % of it, scatter by seed";
+const OF_THE_RECORD: &str = "200 s are 33 periods of the first mode: the motion, and the noise \
+                             that is 5 % of it, scatter by seed";
 const STEP_S: f64 = 0.005;
 const SENSED: [usize; 7] = [1, 10, 20, 30, 40, 50, 60];
 const STEPS: usize = 40_000;

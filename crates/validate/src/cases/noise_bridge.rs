@@ -68,14 +68,16 @@ fn text(direction: &str, swells: Option<[f64; 2]>, damage: [f64; 2]) -> String {
     // Writing to a `String` cannot fail.
     let _ = write!(
         text,
-        "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\ndirection = \"{direction}\"\nspectral-intensity = 5.0e-6\n\n"
+        "[[excitation]]\nname = \"ground\"\nkind = \"ground\"\ndirection = \"{direction}\"\n\
+         spectral-intensity = 5.0e-6\n\n"
     );
     for node in [5, 9, 13, 18, 20, 22] {
         let _ = write!(text, "[[node]]\nname = \"node-{node}\"\n\n");
         for direction in ["x", "y"] {
             let _ = write!(
                 text,
-                "[[node.channel]]\nname = \"node-{node}-{direction}\"\nquantity = \"absolute-acceleration\"\n\
+                "[[node.channel]]\nname = \"node-{node}-{direction}\"\n\
+                 quantity = \"absolute-acceleration\"\n\
                  dof = \"node-{node}-{direction}\"\nunit = \"m/s2\"\nnoise-std = 0.01\n\n"
             );
         }
@@ -83,7 +85,8 @@ fn text(direction: &str, swells: Option<[f64; 2]>, damage: [f64; 2]) -> String {
     let [first, second] = damage;
     let _ = write!(
         text,
-        "[simulation]\nseed = 1\n\n[[simulation.damage]]\nparameter = \"deck-1\"\nat-s = {first}\nloss = {LOSS}\n\n\
+        "[simulation]\nseed = 1\n\n[[simulation.damage]]\nparameter = \"deck-1\"\nat-s = {first}\n\
+         loss = {LOSS}\n\n\
          [[simulation.damage]]\nparameter = \"pier-right\"\nat-s = {second}\nloss = {LOSS}\n\n"
     );
     if let Some([start_s, rise_s]) = swells {
@@ -216,7 +219,8 @@ fn filtered_text(scenario: &Scenario, damage: [f64; 2]) -> String {
         [_] => one,
         _ => one.replace(
             "[[node]]\nname = \"node-5\"\n",
-            "[[excitation]]\nname = \"second\"\nkind = \"ground\"\ndirection = \"y\"\nspectral-intensity = 5.0e-6\n\n\
+            "[[excitation]]\nname = \"second\"\nkind = \"ground\"\ndirection = \"y\"\n\
+             spectral-intensity = 5.0e-6\n\n\
              [[node]]\nname = \"node-5\"\n",
         ),
     }
@@ -469,7 +473,10 @@ fn case(run: &Run<'_>, scenario: &Scenario) -> Result<Outcome, ValidateError> {
             };
             figures.extend([
                 Figure::new(
-                    format!("{name}: distance of the mean from the truth in deviations, {from} to {to} s"),
+                    format!(
+                        "{name}: distance of the mean from the truth in deviations, {from} to \
+                             {to} s"
+                    ),
                     (course.mean(from, to) - truth).abs() / course.std(from, to),
                     settled(Required::AtMost(3.0)),
                 ),

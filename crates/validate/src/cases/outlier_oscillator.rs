@@ -255,7 +255,8 @@ impl Column {
 }
 
 /// Reason why the screening rejects fewer samples than specified.
-const WIDE_SCALE: &str = "the training of the first scale falls into the start-up aid, which makes it too wide for minutes";
+const WIDE_SCALE: &str = "the training of the first scale falls into the start-up aid, which \
+                          makes it too wide for minutes";
 
 /// Table 4.1: rms errors, then mean absolute errors. Each has the plain filter on regular data, the
 /// plain filter on corrupted data, and the proposed filter.
@@ -353,7 +354,15 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let in_short_record = |figure: Figure| run.pick(figure.clone(), figure.known_miss(WIDE_SCALE));
     figures.extend([
         in_short_record(
-            Figure::new("swamping", share(swamped), Required::Between { low: 0.003, high: 0.013 }).published(0.0031),
+            Figure::new(
+                "swamping",
+                share(swamped),
+                Required::Between {
+                    low: 0.003,
+                    high: 0.013,
+                },
+            )
+            .published(0.0031),
         ),
         // An outlier anywhere in the range of the response often coincides with a possible regular
         // sample and must be accepted.
@@ -361,24 +370,46 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             Figure::new(
                 "masking, raw: of all wrong samples",
                 share(masked),
-                Required::Between { low: 0.08, high: 0.15 },
+                Required::Between {
+                    low: 0.08,
+                    high: 0.15,
+                },
             )
             .published(0.0002),
         ),
         Figure::new(
-            "masking, of wrong samples farther than five scales of the residuals from the clean one",
+            "masking, of wrong samples farther than five scales of the residuals from the clean \
+             one",
             share(gross),
             Required::AtMost(0.002),
         ),
-        Figure::new("scale over the noise at the end", scale.value(), Required::Between { low: 1.22, high: 1.37 }),
+        Figure::new(
+            "scale over the noise at the \
+                     end",
+            scale.value(),
+            Required::Between {
+                low: 1.22,
+                high: 1.37,
+            },
+        ),
         Figure::new(
             "share of samples whose probability was evaluated",
             evaluated.value(),
-            Required::Between { low: 0.045, high: 0.06 },
+            Required::Between {
+                low: 0.045,
+                high: 0.06,
+            },
         )
         .known_miss(WIDE_SCALE),
-        Figure::new("ε_u of the window", upper_bound(WINDOW), Required::Within { of: 3.9787, by: 1e-4 })
-            .published(3.9787),
+        Figure::new(
+            "ε_u of the window",
+            upper_bound(WINDOW),
+            Required::Within {
+                of: 3.9787,
+                by: 1e-4,
+            },
+        )
+        .published(3.9787),
     ]);
     let columns_of = ["", "published", "measured"];
     let ways = ["regular", "corrupted", "proposed"];

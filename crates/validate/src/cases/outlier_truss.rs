@@ -310,7 +310,8 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
             .map(|[_, mean, std, truth]| (mean - truth).abs() / std);
         figures.push(Figure::new(
             format!(
-                "regular data, {name} the start-up aid: largest error over its deviation from {from_s} to {until_s} s"
+                "regular data, {name} the start-up aid: largest error over its deviation from \
+                 {from_s} to {until_s} s"
             ),
             off.fold(0.0, larger),
             Required::Reported,
@@ -337,10 +338,16 @@ pub(super) fn run(run: &Run<'_>) -> Result<Outcome, ValidateError> {
         .published(0.001),
         // Wrong samples are spread over the range of the response. Some coincide with possible
         // regular samples and must be accepted.
-        Figure::new("largest masking of a channel, raw: of all wrong samples", largest(&proposed.masked), Required::Reported)
-            .published(0.0001),
         Figure::new(
-            "largest masking of a channel, of wrong samples farther than five scales of the residuals from the clean one",
+            "largest masking of a channel, raw: of all wrong \
+                     samples",
+            largest(&proposed.masked),
+            Required::Reported,
+        )
+        .published(0.0001),
+        Figure::new(
+            "largest masking of a channel, of wrong samples farther than five scales of the \
+             residuals from the clean one",
             largest(&proposed.gross_masked),
             full(Required::AtMost(0.006)),
         ),

@@ -146,7 +146,8 @@ macro_rules! examples {
             run: |run| measure(run, &Example {
                 name: $name,
                 text: include_str!(concat!("../../../../docs/examples/", $name, ".toml")),
-                #[allow(unused_assignments, unused_mut, reason = "most files are taken as they are")]
+                #[allow(unused_assignments, unused_mut, reason = "most files are taken as they \
+                                                                  are")]
                 shortened: {
                     let mut shortened: fn(&str) -> String = as_it_is;
                     $(shortened = $shortened;)?
@@ -167,33 +168,66 @@ macro_rules! examples {
 }
 
 examples![
-    "bouc-wen-five" 60.0 6.0 Supported: "The springs yield as the file says, and nothing happens in the first 60 s", missed "the filters of model classes do not measure their fit, so there is no verdict";
+    "bouc-wen-five" 60.0 6.0 Supported: "The springs yield as the file says, and nothing happens \
+                                         in the first 60 s", missed "the filters of model classes \
+                                                                     do not measure their fit, so \
+                                                                     there is no verdict";
     "bouc-wen-ten" 120.0 8.0 Supported: "The springs yield as the file says; one loss at 100 s";
-    "corrupted-oscillator" 320.0 0.3 Supported: "Wrong samples, which are screened; one loss at 200 s", missed "chance correlations in the first 15 s, when the measures know little; and after the loss the doubt lasts longer than two half-lives, because the measures remember eight memories of the filter";
-    "dashpot-building" 60.0 0.3 Supported: "Its own model; one loss from 8 to 10 s", missed "without the loss it is supported 98 to 99.7 % of the time; of the loss, estimates need longer than two half-lives (which are four periods) to recover, and the measures remember longer still";
+    "corrupted-oscillator" 320.0 0.3 Supported: "Wrong samples, which are screened; one loss at \
+                                                 200 s", missed "chance correlations in the first \
+                                                                 15 s, when the measures know \
+                                                                 little; and after the loss the \
+                                                                 doubt lasts longer than two \
+                                                                 half-lives, because the measures \
+                                                                 remember eight memories of the \
+                                                                 filter";
+    "dashpot-building" 60.0 0.3 Supported: "Its own model; one loss from 8 to 10 \
+                                            s", missed "without the loss it is supported 98 to \
+                                                        99.7 % of the time; of the loss, \
+                                                        estimates need longer than two half-lives \
+                                                        (which are four periods) to recover, and \
+                                                        the measures remember longer still";
     "demo" 120.0 0.3 Supported: "Its own model; one loss at 60 s";
     "demo-distributed" 0.0 0.3 NoVerdict: "Sensor nodes identify; no verdict on their fit";
     "dome" 140.0 11.0 Supported: "Its own model; one loss at 100 s";
-    "dome-bars" 50.0 17.0 Supported: "Its own model, and nothing happens in the first 50 s", missed "the filters of model classes do not measure their fit, so there is no verdict";
+    "dome-bars" 50.0 17.0 Supported: "Its own model, and nothing happens in the first 50 \
+                                      s", missed "the filters of model classes do not measure \
+                                                  their fit, so there is no verdict";
     "fifty-storeys" 5.0 3.0 NoVerdict: "No parameter is identified; no verdict on the fit";
     "fifty-storeys-wind" 5.0 3.0 NoVerdict: "No parameter is identified; no verdict on the fit";
-    "five-mass-chain" 60.0 0.3 Supported: "Its own model; the truth is 2.3 deviations from the prior at most";
+    "five-mass-chain" 60.0 0.3 Supported: "Its own model; the truth is 2.3 deviations from the \
+                                           prior at most";
     "forty-storey-building" 0.0 0.1 NoVerdict: "Sensor nodes identify; no verdict on their fit";
     "forty-storey-spikes" 0.0 0.1 NoVerdict: "Sensor nodes identify; no verdict on their fit";
     "fourteen-bay-truss" 95.0 9.0 Supported: "Its own model, and nothing happens in the first 95 s";
-    "high-rise" 60.0 6.0 Supported: "Its own model, and nothing happens in the first 60 s", missed "the filters of model classes do not measure their fit, so there is no verdict";
+    "high-rise" 60.0 6.0 Supported: "Its own model, and nothing happens in the first 60 \
+                                     s", missed "the filters of model classes do not measure \
+                                                 their fit, so there is no verdict";
     "hysteretic-oscillator" 300.0 0.3 Supported: "The spring yields as the file says";
     "hysteretic-particles" 20.0 2.0 NoVerdict: "Particles identify; no verdict on their fit";
     "matrices" 120.0 0.3 Supported: "Its own model";
-    "noisy" 240.0 0.3 Doubtful: "Its data have clocks that disagree by up to 3 ms and unscreened spikes, which its model lacks; its structure is right";
+    "noisy" 240.0 0.3 Doubtful: "Its data have clocks that disagree by up to 3 ms and unscreened \
+                                 spikes, which its model lacks; its structure is right";
     "output-only" 240.0 0.3 Supported: "Its own model; one loss at 60 s";
-    "shake-table-flexible" 120.0 0.3 Supported: "Its own model; the band limit colours the noise", missed "without the band limit it is supported 98 % of the time; with it the estimates of seed 2 go astray, and the verdict is then right";
-    "shake-table-stiff" 120.0 0.3 Supported: "Its own model; the band limit colours the noise", missed "without the band limit it is supported 97 % of the time; what is left of the noise is correlated";
+    "shake-table-flexible" 120.0 0.3 Supported: "Its own model; the band limit colours the \
+                                                 noise", missed "without the band limit it is \
+                                                                 supported 98 % of the time; with \
+                                                                 it the estimates of seed 2 go \
+                                                                 astray, and the verdict is then \
+                                                                 right";
+    "shake-table-stiff" 120.0 0.3 Supported: "Its own model; the band limit colours the \
+                                              noise", missed "without the band limit it is \
+                                                              supported 97 % of the time; what is \
+                                                              left of the noise is correlated";
     "sixteen-bay-truss" 0.0 0.1 NoVerdict: "Sensor nodes identify; no verdict on their fit";
     "sixty-storeys" 20.0 0.3 NoVerdict: "No parameter is identified; no verdict on the fit";
-    "slow-oscillator" 600.0 0.3 Supported: "Its own model; the truth lies within one deviation of the prior", missed "a memory of one period knows the damping to 26 times its value: it comes to its lower bound";
+    "slow-oscillator" 600.0 0.3 Supported: "Its own model; the truth lies within one deviation of \
+                                            the prior", missed "a memory of one period knows the \
+                                                                damping to 26 times its value: it \
+                                                                comes to its lower bound";
     "three-pier-bridge" 95.0 9.0 Supported: "Its own model, and nothing happens in the first 95 s";
-    "tower" 150.0 5.0 Supported, twelve_beams: "Its own model, with twelve beams in place of 37 at 50 Hz in place of 500";
+    "tower" 150.0 5.0 Supported, twelve_beams: "Its own model, with twelve beams in place of 37 \
+                                                at 50 Hz in place of 500";
     "two-degrees-of-freedom" 0.0 0.1 NoVerdict: "Sensor nodes identify; no verdict on their fit";
     "two-pier-bridge" 0.0 0.1 NoVerdict: "Sensor nodes identify; no verdict on their fit";
     "vehicle" 600.0 0.3 NoVerdict: "No parameter is identified; no verdict on the fit";

@@ -3,8 +3,8 @@
 //!
 //! It shares no equation with `spandrel-judge`. Its frequencies depend on two temperatures with
 //! different memories, of which one is measured, or only that of the air. Asphalt softens
-//! exponentially with warmth, and ice grows and melts with the heat that it takes. Moisture is never
-//! measured. Every seed is another structure in another climate.
+//! exponentially with warmth, and ice grows and melts with the heat that it takes. Moisture is
+//! never measured. Every seed is another structure in another climate.
 
 use crate::statistics::{Normal, Uniform};
 use spandrel_judge::Epoch;

@@ -5,8 +5,10 @@ use super::page::{CONTENTS, contents_row, drawing_name, heads, introduction, row
 use crate::outcome::Table;
 use std::fmt::Write as _;
 
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:64rem;margin:2rem auto;padding:0 1rem;color:#222}\
-table{border-collapse:collapse;margin:.6rem 0 1.2rem}td,th{border:1px solid #ccc;padding:.15rem .55rem;text-align:right}\
+const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:64rem;margin:2rem \
+                     auto;padding:0 1rem;color:#222}\
+table{border-collapse:collapse;margin:.6rem 0 1.2rem}td,th{border:1px solid #ccc;padding:.15rem \
+.55rem;text-align:right}\
 td:first-child,th:first-child{text-align:left}th{background:#f3f3f3}.missed{background:#fbdcdc}img{max-width:100%}\
 code{background:#f3f3f3;padding:0 .2rem}";
 
@@ -16,7 +18,8 @@ struct Cell(String);
 pub(super) fn page(report: &Report) -> String {
     let cases = report.on_page();
     let mut page = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Spandrel: validation</title><style>{STYLE}</style>\n\
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Spandrel: \
+         validation</title><style>{STYLE}</style>\n\
          <h1>Spandrel: published examples, rebuilt</h1>\n"
     );
     for paragraph in introduction(report) {

@@ -49,7 +49,8 @@ pub(super) fn text(report: &Report) -> String {
         .sum::<usize>();
     let _ = writeln!(
         text,
-        "{holds} of {} figures as required, {missed} missed ({known} of them known), {failed} runs failed",
+        "{holds} of {} figures as required, {missed} missed ({known} of them known), {failed} \
+         runs failed",
         holds + missed
     );
     text
@@ -200,9 +201,10 @@ pub(super) fn introduction(report: &Report) -> Vec<String> {
         .map_or(String::new(), |case| seed_options(&case.seeds));
     let mut paragraphs = vec![
         format!(
-            "{holds} of {} figures are as required, {missed} are missed ({known} of them known), {reported} more are reported; \
-             {records}. Written by spandrel {} with `spandrel validate{option}{seeds} --report DIRECTORY`; the contents list \
-             the seeds of each case.",
+            "{holds} of {} figures are as required, {missed} are missed ({known} of them known), \
+             {reported} more are reported; {records}. Written by spandrel {} with `spandrel \
+             validate{option}{seeds} --report DIRECTORY`; the contents list the seeds of each \
+             case.",
             holds + missed,
             env!("CARGO_PKG_VERSION"),
         ),

@@ -42,14 +42,16 @@ impl Stated {
         for storey in 1..=STOREYS {
             let _ = write!(
                 text,
-                "\n[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\nof = [\"storey-{storey}\"]\nstd = 0.2\n"
+                "\n[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
+                 of = [\"storey-{storey}\"]\nstd = 0.2\n"
             );
         }
         if self.damping_identified {
             for part in ["alpha", "beta"] {
                 let _ = write!(
                     text,
-                    "\n[[parameter]]\nname = \"damping-{part}\"\nscales = \"damping-{part}\"\nstd = 1.0\n"
+                    "\n[[parameter]]\nname = \"damping-{part}\"\nscales = \"damping-{part}\"\n\
+                     std = 1.0\n"
                 );
             }
         }
@@ -62,14 +64,16 @@ impl Stated {
             text += "adapt = true\n";
         }
         if self.ground_measured {
-            text += "measured-on = \"ground\"\n\n[[node]]\nname = \"ground\"\n\n[[node.channel]]\nname = \"ground\"\n\
+            text += "measured-on = \"ground\"\n\n[[node]]\nname = \"ground\"\n\n[[node.channel]]\n\
+                     name = \"ground\"\n\
                      quantity = \"ground-acceleration\"\nunit = \"m/s2\"\n";
             let _ = writeln!(text, "noise-std = {noise_std}");
         }
         for floor in 1..=STOREYS {
             let _ = write!(
                 text,
-                "\n[[node]]\nname = \"floor-{floor}\"\n\n[[node.channel]]\nname = \"floor-{floor}\"\n\
+                "\n[[node]]\nname = \"floor-{floor}\"\n\n[[node.channel]]\n\
+                 name = \"floor-{floor}\"\n\
                  quantity = \"absolute-acceleration\"\ndof = \"floor-{floor}\"\nunit = \"m/s2\"\n\
                  noise-std = {noise_std}\nnoise-group = \"floors\"\nadapt-noise = true\n"
             );

@@ -29,8 +29,8 @@ fn loss_in_strong_motion_is_softening_and_raises_nothing() {
     for part in [
         "storey-2 is softer by 14 % of its stiffness",
         "in strong motion of up to 2.00 m/s²: whether this amplitude explains it is not known yet",
-        "this alone shows no damage; a lasting loss is judged from weak motion, 5 minutes after the \
-         strong motion",
+        "this alone shows no damage; a lasting loss is judged from weak motion, 5 minutes after \
+         the strong motion",
     ] {
         assert!(why.contains(part), "{why}");
     }

@@ -352,7 +352,8 @@ fn no_new_alert_is_raised_in_the_first_seconds_of_a_jump() {
     let pending = &drive.alerts[0].why;
     assert!(
         pending.ends_with(
-            "the alert will be raised if this lasts for 0 s; a sudden change is still being followed"
+            "the alert will be raised if this lasts for 0 s; a sudden change is still being \
+             followed"
         ),
         "{pending}"
     );
@@ -379,7 +380,8 @@ fn raised_alert_states_that_the_stiffness_is_still_falling_until_the_jump_ends()
         (vec![(Raised, 0)], vec![(1, 1), (2, 2)])
     );
     // 30 % minus 1.96 times 5 %.
-    let followed = "storey-2 has lost at least 20.2 % of its stiffness, still falling (95 % interval 20.2 to 39.8 %)";
+    let followed = "storey-2 has lost at least 20.2 % of its stiffness, still falling (95 % \
+                    interval 20.2 to 39.8 %)";
     assert!(
         drive.alerts[1].why.starts_with(followed),
         "{}",

@@ -507,8 +507,8 @@ fn sharper_class_gains_the_factor_of_ockham() {
     assert!((sum / records as f64 - expected).abs() < 0.4 && (expected - 4.16).abs() < 0.01);
 }
 
-/// Regression: at rest, noise moved the stiffnesses of all classes, changed the plausibilities and was
-/// calibrated.
+/// Regression: at rest, noise moved the stiffnesses of all classes, changed the plausibilities and
+/// was calibrated.
 #[test]
 fn frames_that_teach_nothing_change_no_class() {
     let mut bank = ClassBank::new(System, template(), self_calibrating()).unwrap();

@@ -85,8 +85,8 @@ pub struct StationSettings {
 
 /// Largest factor by which information fades at once.
 ///
-/// It makes any density wider than its bound. A larger factor would round the information to 0 after
-/// a long gap, and the means would be lost with it.
+/// It makes any density wider than its bound. A larger factor would round the information to 0
+/// after a long gap, and the means would be lost with it.
 const LARGEST_GROWTH: f64 = 1e30;
 
 impl StationSettings {

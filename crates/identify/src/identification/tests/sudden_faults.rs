@@ -5,8 +5,8 @@ use super::*;
 /// Frame in which the fault begins. The demo building is undamaged until 60 s.
 const BEGIN: usize = 4_000;
 
-/// Returns the frames of the demo, in which `change` has changed the values of a floor from 40 s on.
-/// It receives the number of the frame and the former values of the floor.
+/// Returns the frames of the demo, in which `change` has changed the values of a floor from 40 s
+/// on. It receives the number of the frame and the former values of the floor.
 fn with_fault(floor: usize, count: usize, change: impl Fn(usize, &[f64]) -> f64) -> FrameBlock {
     let sound = of_text(without_damage, count).1.values;
     let of_floor: Vec<f64> = sound.chunks(6).map(|values| values[floor]).collect();
@@ -105,7 +105,8 @@ fn sudden_loss_of_stiffness_is_no_fault_of_a_sensor() {
         for loss in [0.15, 0.4, 0.7] {
             let damaged = |text: String| {
                 let damage = format!(
-                    "[[simulation.damage]]\nparameter = \"storey-{storey}\"\nat-s = 40\nloss = {loss}\n"
+                    "[[simulation.damage]]\nparameter = \"storey-{storey}\"\nat-s = 40\n\
+                     loss = {loss}\n"
                 );
                 without_damage(text) + &damage
             };

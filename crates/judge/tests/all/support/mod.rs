@@ -149,7 +149,8 @@ pub fn describe(judge: &Judge, judgements: &[Judgement]) {
         );
         match (&report.reference, &report.missing) {
             (Some(r), _) => println!(
-                "  σ {:.5} φ {} T0 {:?} coverage {:.3} ln threshold {:.2} achieved {:.4} delays {:?}",
+                "  σ {:.5} φ {} T0 {:?} coverage {:.3} ln threshold {:.2} achieved {:.4} delays \
+                 {:?}",
                 r.scatter,
                 r.correlation,
                 r.frost_knot,

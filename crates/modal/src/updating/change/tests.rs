@@ -154,8 +154,8 @@ fn calibration_finds_the_stiffnesses_of_the_structure() {
     );
 }
 
-/// With one degree of freedom, ln f = x/2 exactly. The posterior is then an integral over the levels
-/// of the scatter that can be summed directly.
+/// With one degree of freedom, ln f = x/2 exactly. The posterior is then an integral over the
+/// levels of the scatter that can be summed directly.
 #[test]
 fn posterior_of_one_part_equals_a_direct_sum() {
     let entry = Entry {
@@ -219,8 +219,8 @@ fn quantiles_and_probabilities_are_inverse() {
     }
 }
 
-/// 95 % intervals of changes with masses that are wrong by 10 %, stiffnesses that are wrong by 25 %,
-/// and sound epochs that scatter.
+/// 95 % intervals of changes with masses that are wrong by 10 %, stiffnesses that are wrong by 25
+/// %, and sound epochs that scatter.
 #[test]
 fn intervals_contain_the_change_although_the_model_is_wrong() {
     let (mut inside, mut all, mut found, mut wrong) = (0.0, 0.0, 0.0, 0.0);

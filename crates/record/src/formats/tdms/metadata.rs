@@ -216,7 +216,8 @@ const BOOLEAN: u32 = 0x21;
 /// Type of text.
 pub(super) const TEXT: u32 = 0x20;
 const TIME: u32 = 0x44;
-const KINDS: &str = "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), 44 (time) or 8000c, 10000d (complex)";
+const KINDS: &str = "1 to 8 (integers), 9, 10, 19, 1a (floating point), 20 (text), 21 (boolean), \
+                     44 (time) or 8000c, 10000d (complex)";
 
 /// Returns the number of bytes per value of a type, or `None` if it is variable or unknown.
 pub(super) fn size(kind: u32) -> Option<u64> {

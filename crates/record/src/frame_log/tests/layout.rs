@@ -21,7 +21,8 @@ fn error_names_the_difference_to_the_layout_of_a_folder() {
                 channels: vec!["roof-x, roof-y, base".to_owned()],
                 ..layout()
             },
-            "channels is `[\"roof-x\", \"roof-y\", \"base\"]`, must be `[\"roof-x, roof-y, base\"]`",
+            "channels is `[\"roof-x\", \"roof-y\", \"base\"]`, must be `[\"roof-x, roof-y, \
+             base\"]`",
         ),
         (
             LogLayout {
@@ -45,7 +46,8 @@ fn error_names_the_difference_to_the_layout_of_a_folder() {
             .to_string();
         let place = folder.path().display();
         let expected = format!(
-            "{place}: the frame log has another layout: {expected}; move the folder, or choose another one"
+            "{place}: the frame log has another layout: {expected}; move the folder, or choose \
+             another one"
         );
         assert_eq!(error, expected);
     }

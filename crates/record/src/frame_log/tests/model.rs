@@ -119,7 +119,8 @@ proptest! {
                 let is_end = next.is_some_and(|next| (next.sequence, next.count(), next.ended) == (found.end(), 0, true));
                 (found.sequence, rows, found.ended || is_end)
             });
-            prop_assert_eq!(found, model.read(epoch, after, limit), "epoch {} after {} limit {}", epoch, after, limit);
+            prop_assert_eq!(found, model.read(epoch, after, limit), "epoch {} after {} limit \
+                                                                     {}", epoch, after, limit);
         }
         let epochs: Vec<u64> = std::iter::successors(reader.next_epoch(None), |epoch| reader.next_epoch(Some(*epoch))).collect();
         let mut expected: Vec<u64> = model.frames.keys().map(|(epoch, _)| *epoch).chain(model.ended.keys().copied()).collect();

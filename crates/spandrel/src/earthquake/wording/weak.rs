@@ -44,8 +44,8 @@ pub fn ratios(interval: Interval) -> String {
     format!("{:.2} to {:.2}", interval.low, interval.high)
 }
 
-/// The result of weak motion in which nothing stands out. Only a stiffness with a prediction can show
-/// no sign of change.
+/// The result of weak motion in which nothing stands out. Only a stiffness with a prediction can
+/// show no sign of change.
 pub(super) fn weak_headline(report: &EventReport) -> String {
     let names = |parameters: &[&ParameterReport]| {
         let names = parameters.iter().map(|parameter| parameter.name.as_str());
@@ -75,8 +75,8 @@ pub(super) fn weak_headline(report: &EventReport) -> String {
     }
 }
 
-/// Returns `true` if the weak motion of the record can be compared with a prediction that reveals twice
-/// the loss of the report.
+/// Returns `true` if the weak motion of the record can be compared with a prediction that reveals
+/// twice the loss of the report.
 pub(super) fn is_predicted(parameter: &ParameterReport, report: &EventReport) -> bool {
     let weak = parameter.judgement.weak;
     weak.and_then(|weak| weak.predicted)

@@ -82,7 +82,8 @@ fn a_group_outside_of_the_building_is_refused() {
     assert_eq!(
         mistakes_after(BOUC_WEN, "[6, 10]", "[6, 11]"),
         [
-            "model.group.storeys: is [6.0, 11.0], must be [lowest, highest], two whole numbers from 1 to 10"
+            "model.group.storeys: is [6.0, 11.0], must be [lowest, highest], two whole numbers \
+             from 1 to 10"
         ]
     );
 }
@@ -109,7 +110,8 @@ fn unbounded_law_is_rejected() {
     assert_eq!(
         mistakes_after(BOUC_WEN, "kappa = 1500 ", "kappa = -1000 "),
         [
-            "model.kappa: is -1000 beside mu = 1000, must add up to more than 0 with mu, or the force of a spring has no bound"
+            "model.kappa: is -1000 beside mu = 1000, must add up to more than 0 with mu, or the \
+             force of a spring has no bound"
         ]
     );
     assert_eq!(
@@ -132,7 +134,8 @@ fn displacement_sensors_are_rejected_for_hysteretic_springs() {
     assert_eq!(
         mistakes_after(&text, "unit = \"m/s\"", "unit = \"m\""),
         ["node.channel.quantity: is \"displacement\", \
-          must be a velocity or an acceleration for the kind bouc-wen, which does not follow displacements"]
+          must be a velocity or an acceleration for the kind bouc-wen, which does not follow \
+          displacements"]
     );
 }
 
@@ -150,7 +153,8 @@ fn constants_can_be_scaled_only_with_hysteresis() {
     assert_eq!(
         mistakes_after(BOUC_WEN, "\"hysteresis-kappa\"", "\"hysteresis-mu\""),
         [
-            "parameter.of: scales the same constant as parameter \"mu\" does, must scale what no other parameter scales"
+            "parameter.of: scales the same constant as parameter \"mu\" does, must scale what no \
+             other parameter scales"
         ]
     );
 }
@@ -165,7 +169,8 @@ fn dashpots_require_storeys() {
     );
     assert_eq!(
         found[0],
-        "damping.kind: is \"dashpots\", must be \"rayleigh\" or \"matrix\" for a model without storeys"
+        "damping.kind: is \"dashpots\", must be \"rayleigh\" or \"matrix\" for a model without \
+         storeys"
     );
     assert_eq!(
         mistakes_after(
@@ -178,7 +183,8 @@ fn dashpots_require_storeys() {
     assert_eq!(
         mistakes_after(DEMO, "scales = \"stiffness\"", "scales = \"damping\""),
         [
-            "parameter.scales: is \"damping\", must not be scaled storey by storey unless damping.kind is \"dashpots\""
+            "parameter.scales: is \"damping\", must not be scaled storey by storey unless \
+             damping.kind is \"dashpots\""
         ]
     );
 }

@@ -71,7 +71,8 @@ fn error_names_mistakes_of_classes() {
         &["persistance-s", "persistence-s"],
     );
     has(
-        "[classes]\nkind = \"self-calibrating\"\n[[classes.class]]\nname = \"baseline\"\nof = [\"storey-1\"]\n",
+        "[classes]\nkind = \"self-calibrating\"\n[[classes.class]]\nname = \"baseline\"\n\
+         of = [\"storey-1\"]\n",
         &["is \"baseline\""],
     );
 }

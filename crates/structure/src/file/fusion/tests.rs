@@ -121,7 +121,8 @@ fn error_names_the_key_and_the_allowed_values() {
         ),
         (
             "exclusion = 0.9",
-            "fusion.exclusion: is given, must not be given together with detector = \"one-at-a-time\"",
+            "fusion.exclusion: is given, must not be given together with detector \
+             = \"one-at-a-time\"",
         ),
         (
             "detector = \"none\"\nscreening = 0.9",

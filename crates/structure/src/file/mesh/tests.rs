@@ -317,14 +317,16 @@ fn numbers_whose_stiffness_overflows_are_refused() {
     assert_eq!(
         found,
         [
-            "6: model.kind: has no natural frequencies, must have masses and stiffnesses of real structures"
+            "6: model.kind: has no natural frequencies, must have masses and stiffnesses of real \
+             structures"
         ]
     );
 }
 
 proptest::proptest! {
     #[test]
-    fn any_chain_gives_a_structure_or_an_error(path in "\\[(\\[((-?[0-9]{1,2}|\"[a-z ]{0,3}\"), ){0,5}\\], ){0,3}\\]") {
+    fn any_chain_gives_a_structure_or_an_error(path in "\\[(\\[((-?[0-9]{1,2}|\"[a-z ]{0,3}\"), \
+                                                        ){0,5}\\], ){0,3}\\]") {
         let _ = read(&PORTAL.replacen("[[1, 2, 3], [\"foot\", \"middle\", 10]]", &path, 1));
     }
 }

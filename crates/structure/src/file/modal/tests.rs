@@ -97,7 +97,8 @@ fn every_mistake_names_line_key_and_allowed_values() {
         (
             "epoch-s = 300",
             "epoch-s = 30",
-            "3: modal.epoch-s: is 30, must be at least 72 with these channels, band and sampling rate",
+            "3: modal.epoch-s: is 30, must be at least 72 with these channels, band and sampling \
+             rate",
         ),
         (
             "epoch-s = 300",
@@ -122,7 +123,8 @@ fn every_mistake_names_line_key_and_allowed_values() {
         (
             "[0.5, 12]",
             "[12, 0.5]",
-            "4: modal.band-hz: is [12.0, 0.5], must be two increasing frequencies, such as [0.5, 12]",
+            "4: modal.band-hz: is [12.0, 0.5], must be two increasing frequencies, such as [0.5, \
+             12]",
         ),
         (
             "[0.5, 12]",
@@ -291,8 +293,8 @@ fn command_that_needs_a_model_names_the_line_of_the_kind() {
     std::fs::write(&path, SENSORS_ONLY).unwrap();
     assert!(Structure::read(&path).is_ok());
     let told = Structure::read_with_model(&path).unwrap_err().to_string();
-    let expected = ":13: model.kind: is \"modal\", must be a kind with masses and stiffnesses: this \
-                    command needs a model";
+    let expected = ":13: model.kind: is \"modal\", must be a kind with masses and stiffnesses: \
+                    this command needs a model";
     assert!(told.ends_with(expected), "{told}");
     std::fs::write(&path, DEMO).unwrap();
     assert!(Structure::read_with_model(&path).is_ok());

@@ -134,12 +134,17 @@ fn sway(first: &str, second: &str, one: &str, other: &str, direction: &str) -> S
         "#
     );
     for dof in [one, other] {
-        let channel = "[[node.channel]]\nquantity = \"absolute-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.05";
+        let channel = "[[node.channel]]\nquantity = \"absolute-acceleration\"\nunit = \"m/s2\"\n\
+                       noise-std = 0.05";
         writeln!(text, "{channel}\nname = \"{dof}\"\ndof = \"{dof}\"").unwrap();
     }
     for group in [first, second] {
-        writeln!(text, "[[parameter]]\nname = \"{group}\"\nscales = \"stiffness\"\nof = [\"{group}\"]\nstd = 0.1")
-            .unwrap();
+        writeln!(
+            text,
+            "[[parameter]]\nname = \"{group}\"\nscales = \"stiffness\"\n\
+                        of = [\"{group}\"]\nstd = 0.1"
+        )
+        .unwrap();
     }
     text
 }
@@ -249,7 +254,8 @@ pub fn building_with_masses() -> Structure {
         "#,
     );
     for dof in [1, 4, 8] {
-        let channel = "[[node.channel]]\nquantity = \"relative-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.05";
+        let channel = "[[node.channel]]\nquantity = \"relative-acceleration\"\nunit = \"m/s2\"\n\
+                       noise-std = 0.05";
         writeln!(text, "{channel}\nname = \"floor-{dof}\"\ndof = {dof}").unwrap();
     }
     parse("demo", &text)

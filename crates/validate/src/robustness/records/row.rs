@@ -80,7 +80,8 @@ impl std::fmt::Display for Row {
             let [supported, doubtful, contradicted] = verdicts.map(|share| 100.0 * share);
             writeln!(
                 f,
-                "    fit supported {supported:.0} %, doubtful {doubtful:.0} %, contradicted {contradicted:.0} %"
+                "    fit supported {supported:.0} %, doubtful {doubtful:.0} %, contradicted \
+                 {contradicted:.0} %"
             )?;
         }
         writeln!(

@@ -135,7 +135,8 @@ pub(super) fn rows(data: &Path, done: &mut impl FnMut(&Row)) -> Result<Vec<Row>,
 fn table_rows(data: &Path, done: &mut impl FnMut(&Row)) -> Result<Vec<Row>, RecordsError> {
     let rules = (
         "[record]\n",
-        "[[alert]]\nparameters = \"all\"\nloss = 0.15\ncredibility = 0.99\nsustain-s = 5\nreference = { learn-s = 30 }\n\n[record]\n",
+        "[[alert]]\nparameters = \"all\"\nloss = 0.15\ncredibility = 0.99\nsustain-s = 5\n\
+         reference = { learn-s = 30 }\n\n[record]\n",
     );
     let structure = shake_table::stiff(&[rules])?;
     let records = shake_table::records(&structure, data, "stiff")?;
@@ -171,7 +172,8 @@ fn table_rows(data: &Path, done: &mut impl FnMut(&Row)) -> Result<Vec<Row>, Reco
 fn bridge_rows(data: &Path, done: &mut impl FnMut(&Row)) -> Result<Vec<Row>, RecordsError> {
     let rule = (
         "[[alert]]\n",
-        "[[alert]]\nparameters = [\"supports\"]\nloss = 0.3\ncredibility = 0.99\nsustain-s = 5\nreference = { learn-s = 60 }\n\n[[alert]]\n",
+        "[[alert]]\nparameters = [\"supports\"]\nloss = 0.3\ncredibility = 0.99\nsustain-s = 5\n\
+         reference = { learn-s = 60 }\n\n[[alert]]\n",
     );
     let text = replaced(
         &replaced(bridge::FILE, &[rule])?,

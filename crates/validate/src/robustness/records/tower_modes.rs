@@ -169,8 +169,8 @@ impl Tower {
         let runs = damaged.runs;
         damaged.seen += &format!(
             "loss above 10, 5 and 0 % with a probability of 0.99 in {}, {} and {} of {runs}; the \
-             largest estimated loss is that of the storey in {nearest}; another storey has lost with \
-             0.99 in {wrong}",
+             largest estimated loss is that of the storey in {nearest}; another storey has lost \
+             with 0.99 in {wrong}",
             found[0], found[1], found[2],
         );
         damaged.passed = Some(found.first().copied() == u32::try_from(runs).ok());
