@@ -119,6 +119,8 @@ pub use ring::{Answer, Forget, Keep, NotConsecutive, Ring};
 pub use session::{AROUND_THE_PAYLOAD, Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
 pub use small_file::{check_regular_file, read_small_file, read_small_text};
 pub use span::{SpanError, SpanQuery, TIMES, time_ns};
-pub use stream::{Check, Reading, Stream, StreamCounts, StreamGroup, StreamSettings};
+pub use stream::{
+    Check, POSITION_TIMEOUT, Reading, Stream, StreamCounts, StreamGroup, StreamSettings,
+};
 pub use subscribe::Subscription;
 pub use tls::{AUTHORITY_FILE, TlsConfig, TlsError, read_pair};

@@ -1,7 +1,6 @@
 //! Queries to which a service replies itself.
 
 use tracing::debug;
-use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 
 use crate::BoxedFuture;
@@ -69,12 +68,6 @@ impl Question {
     #[must_use]
     pub fn parameters(&self) -> &str {
         self.query.parameters().as_str()
-    }
-
-    /// Returns `true` if the query matches a key.
-    #[must_use]
-    pub fn is_for(&self, key: &str) -> bool {
-        KeyExpr::new(key).is_ok_and(|key| self.query.key_expr().intersects(&key))
     }
 
     /// Replies on a concrete key.

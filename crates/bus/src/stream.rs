@@ -77,6 +77,9 @@ impl StreamSettings {
     }
 }
 
+/// Time limit for a source to report its position.
+pub const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
+
 /// Counts of a reader.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StreamCounts {

@@ -13,7 +13,7 @@ use crate::resonance::{OfScales, Resonances, ln_prior};
 use nalgebra::Complex;
 
 /// Prior odds of a sound channel against a faulty one.
-const PRIOR_ODDS: f64 = 100.0;
+pub(crate) const PRIOR_ODDS: f64 = 100.0;
 
 /// Frequency scales of the structure: designed frequency divided by the present one.
 const SCALES: [f64; 13] = [

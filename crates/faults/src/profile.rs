@@ -9,6 +9,7 @@
 //! the records. A factor moves all bands of one channel by the same amount. An exchange must
 //! therefore also be more probable than a factor.
 
+use crate::hypothesis::PRIOR_ODDS;
 use serde::{Deserialize, Serialize};
 
 /// Centres of the bands, in multiples of the fundamental.
@@ -22,9 +23,6 @@ const QUALITY: f64 = 2.5;
 
 /// Highest centre as a share of the sampling rate.
 const HIGHEST: f64 = 0.4;
-
-/// Least odds before the data: an exchange of two given channels is as improbable as any fault.
-const PRIOR_ODDS: f64 = 100.0;
 
 /// Root mean square deviation from the records, in standard deviations, up to which a channel
 /// agrees with them.

@@ -3,11 +3,10 @@
 use crate::core_input::Moment;
 use crate::packet::Packet;
 use crate::source_plan::{ConditionPlan, Stamps};
+use spandrel_bus::ConditionDisplay;
 
 /// Highest sampling rate of a condition, Hz. Faster channels belong to a node.
 const MAX_RATE_HZ: f64 = 10.0;
-/// Largest time by which the clock of an instrument may be ahead of the clock of the feed, ns.
-const MAX_AHEAD_NS: i64 = 60_000_000_000;
 
 /// One condition of one source.
 #[derive(Clone, Debug, Default)]
@@ -111,11 +110,11 @@ impl ConditionFeed {
             self.repeated += 1;
             return Ok(None);
         }
-        if time_ns > at.wall_ns.saturating_add(MAX_AHEAD_NS) {
+        if time_ns > at.wall_ns.saturating_add(ConditionDisplay::MAX_AHEAD_NS) {
             let ahead_s = time_ns.saturating_sub(at.wall_ns) as f64 / 1e9;
             return Err(format!(
                 "time is {ahead_s:.0} s ahead of the clock of the feed, must be at most {} s",
-                MAX_AHEAD_NS / 1_000_000_000
+                ConditionDisplay::MAX_AHEAD_NS / 1_000_000_000
             ));
         }
         let value = plan.value_from_number(number, time_ns);

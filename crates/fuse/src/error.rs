@@ -40,3 +40,15 @@ pub enum FuseError {
     #[error(transparent)]
     Bus(#[from] BusError),
 }
+
+impl FuseError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::NotDistributed { .. } | Self::Name { .. } | Self::Station { .. } => true,
+            Self::Bus(error) => error.is_bad_input(),
+            Self::Checkpoint(_) => false,
+        }
+    }
+}

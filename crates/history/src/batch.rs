@@ -14,9 +14,6 @@ pub(crate) const RESOLUTIONS_S: [i64; 3] = [60, 3_600, 86_400];
 const OTHER_SERIES: usize = 256;
 
 const SECOND_NS: i64 = 1_000_000_000;
-/// Largest time by which a condition may be ahead of the clock (ns). A value with a later time
-/// would keep all others out, because values must be newer than the newest stored one.
-const MAX_AHEAD_NS: i64 = 60 * SECOND_NS;
 
 /// The kind of quantity of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -280,7 +277,7 @@ impl Collector {
             Some("wrong-unit")
         } else if !declared.is_plausible(message.value) {
             Some("out-of-range")
-        } else if message.time_ns > self.now_ns.saturating_add(MAX_AHEAD_NS) {
+        } else if message.time_ns > self.now_ns.saturating_add(ConditionDisplay::MAX_AHEAD_NS) {
             Some("ahead-of-clock")
         } else {
             None

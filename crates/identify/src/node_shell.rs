@@ -7,7 +7,8 @@ use crate::pool::FilterPool;
 use crate::set_aside::{SetAside, Span};
 use spandrel_bus::{
     Block, BoxedFuture, Bus, Delivery, DisplayPublisher, Event, EventKind, FeedbackMessage,
-    LiveToken, LocalMessage, Name, Pace, SampleBlock, Service, Start, Subscription,
+    LiveToken, LocalMessage, Name, POSITION_TIMEOUT, Pace, SampleBlock, Service, Start,
+    Subscription,
 };
 use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
 use spandrel_service::{
@@ -26,9 +27,6 @@ const LAST_SAMPLES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// Maximum time for which replayed samples wait for feedback.
 const ANSWER_WITHIN: Duration = Duration::from_secs(10);
-
-/// Time limit for the sensor to report its position.
-const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Capacity of the queue for feedback. Only the newest message matters.
 const ANSWERS_WAITING: usize = 4;
@@ -261,7 +259,11 @@ impl NodeService {
             }
         };
         for block in self.set_aside.cut(block) {
-            let span = (block.header.epoch, block.header.sequence, block.end());
+            let span = Span {
+                epoch: block.header.epoch,
+                from: block.header.sequence,
+                to: block.end(),
+            };
             let input = match (self.was_before(&block).await, self.goes_on) {
                 (true, false) => continue,
                 (true, true) => NodeInput::Past(block),
@@ -326,16 +328,17 @@ impl NodeService {
 
     /// Records the samples that caused the filter to panic, so that the next run skips them.
     async fn die(&mut self) -> Result<(), IdentifyError> {
-        if let Some((epoch, from, to)) = self.at_work.take() {
-            self.set_aside.add((epoch, from, to));
+        if let Some(span) = self.at_work.take() {
+            self.set_aside.add(span);
             let event = Event {
                 structure: self.structure.clone(),
                 time_ns: self.clock.now_ns(),
                 kind: EventKind::Restart,
                 subject: self.node.to_string(),
                 what: format!(
-                    "samples {from} to {} are skipped and count as missing",
-                    to.saturating_sub(1)
+                    "samples {} to {} are skipped and count as missing",
+                    span.from,
+                    span.to.saturating_sub(1)
                 ),
                 why: "they caused a panic in the filter of the node".to_owned(),
             };

@@ -3,9 +3,15 @@
 use spandrel_bus::{Block, SampleBlock, StreamState};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A span of samples in an epoch: number of the epoch, of the first sample, and of the sample after
-/// the last.
-pub(crate) type Span = (u64, u64, u64);
+/// Successive items of an epoch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Span {
+    pub(crate) epoch: u64,
+    /// Number of the first item.
+    pub(crate) from: u64,
+    /// Number of the item after the last.
+    pub(crate) to: u64,
+}
 
 /// Samples that caused a worker to panic, shared between the runs of the worker in one process.
 ///
@@ -36,25 +42,26 @@ impl SetAside {
     pub(crate) fn samples(&self) -> u64 {
         self.spans()
             .iter()
-            .map(|(_, from, to)| to.saturating_sub(*from))
+            .map(|span| span.to.saturating_sub(span.from))
             .sum()
     }
 
     /// Returns the parts of a block without the excluded samples.
     pub(crate) fn cut(&self, block: SampleBlock) -> Vec<SampleBlock> {
         let mut parts = vec![block];
-        for (epoch, from, to) in self.spans().iter().copied() {
+        for span in self.spans().iter().copied() {
             parts = parts
                 .into_iter()
-                .flat_map(|part| without(part, epoch, from, to))
+                .flat_map(|part| without(part, span))
                 .collect();
         }
         parts
     }
 }
 
-/// Returns the parts of a block before and after samples `from` to before `to` of an epoch.
-fn without(block: SampleBlock, epoch: u64, from: u64, to: u64) -> Vec<SampleBlock> {
+/// Returns the parts of a block before and after a span.
+fn without(block: SampleBlock, span: Span) -> Vec<SampleBlock> {
+    let Span { epoch, from, to } = span;
     let (first, end) = (block.header.sequence, block.end());
     if block.header.epoch != epoch || end <= from || first >= to {
         return vec![block];
@@ -107,8 +114,9 @@ mod tests {
     #[test]
     fn samples_set_aside_are_omitted_for_any_block_size() {
         let set_aside = SetAside::default();
-        set_aside.add((7, 10, 14));
-        set_aside.add((7, 20, 22));
+        let span = |from, to| Span { epoch: 7, from, to };
+        set_aside.add(span(10, 14));
+        set_aside.add(span(20, 22));
         assert_eq!((set_aside.deaths(), set_aside.samples()), (2, 6));
         let running = |first, count| block(first, count, StreamState::Running);
         assert_eq!(left(&set_aside, running(0, 10)), [(0, 10)]);

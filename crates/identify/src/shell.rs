@@ -8,6 +8,7 @@ use crate::memory::Memory;
 use crate::pieces::Pieces;
 use crate::pool::FilterPool;
 use crate::seat::{Precedence, Seat, StandingBy};
+use crate::set_aside::Span;
 use crate::trouble::Trouble;
 use spandrel_bus::{
     Block, BoxedFuture, Bus, BusError, Claims, Delivery, Event, EventKind, FrameBlock, Keys,
@@ -16,11 +17,11 @@ use spandrel_bus::{
 };
 use spandrel_faults::SensorReference;
 use spandrel_service::{
-    Clock, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+    Clock, LAST_FRAMES, LAST_FRAMES_IN_ALL, Monitored, Report, STATUS_EVERY, ServiceInstance,
+    StatusPublisher, Stop,
 };
 use spandrel_structure::Structure;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, info};
 
@@ -31,12 +32,6 @@ pub use standing::ESTIMATES_KEPT;
 
 /// Capacity of the queue for status messages of ingest. Only the last one matters.
 const STATUSES_WAITING: usize = 4;
-
-/// After a stop, the service waits until no frame has arrived for this long.
-const LAST_FRAMES: Duration = Duration::from_millis(100);
-/// Maximum total wait for frames after a stop, because an ingest in another process continues to
-/// send.
-const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// Processes one input on a thread of the pool and returns the rest of a long gap, as
 /// [`Identification::handle_part`] does.
@@ -372,7 +367,14 @@ impl IdentifyService {
     /// The identification restores its last checkpoint and processes the frames again. A standby in
     /// step with the leader requests the leader's state instead. Other structures are not affected.
     async fn revive(&mut self, from: u64, to: u64) -> Result<(), IdentifyError> {
-        let set_aside = self.trouble.died(Instant::now(), self.epoch, from, to);
+        let set_aside = self.trouble.died(
+            Instant::now(),
+            Span {
+                epoch: self.epoch,
+                from,
+                to,
+            },
+        );
         if self.trouble.is_hopeless() {
             return Err(IdentifyError::ThreadLost {
                 structure: self.keys.structure().to_string(),

@@ -1,6 +1,7 @@
 //! Finds single frames that cause the identification to panic, and excludes them.
 
 use crate::identification::IdentificationInput;
+use crate::set_aside::Span;
 use spandrel_bus::Block;
 use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
@@ -18,8 +19,8 @@ const DEATHS_WITHIN: Duration = Duration::from_secs(3600);
 /// counts as missing.
 #[derive(Debug, Default)]
 pub(crate) struct Trouble {
-    /// A block that caused a panic: epoch, first frame, and the frame after the last.
-    suspect: Option<(u64, u64, u64)>,
+    /// A block that caused a panic.
+    suspect: Option<Span>,
     /// Epoch and number of each excluded frame.
     set_aside: BTreeSet<(u64, u64)>,
     deaths: u64,
@@ -39,8 +40,8 @@ impl Trouble {
             .range((epoch, first)..(epoch, end))
             .map(|(_, frame)| *frame)
             .collect();
-        if let Some((_, from, to)) = self.suspect.filter(|(suspect, ..)| *suspect == epoch) {
-            alone.extend(from.max(first)..to.min(end));
+        if let Some(suspect) = self.suspect.filter(|suspect| suspect.epoch == epoch) {
+            alone.extend(suspect.from.max(first)..suspect.to.min(end));
         }
         let mut parts = Vec::with_capacity(2 * alone.len() + 1);
         for frame in alone {
@@ -66,9 +67,9 @@ impl Trouble {
         parts
     }
 
-    /// Records a panic in frames `from` to before `to` of an epoch. Returns the frame to exclude
-    /// from now on, if it is known.
-    pub(crate) fn died(&mut self, now: Instant, epoch: u64, from: u64, to: u64) -> Option<u64> {
+    /// Records a panic in these frames. Returns the frame to exclude from now on, if it is known.
+    pub(crate) fn died(&mut self, now: Instant, frames: Span) -> Option<u64> {
+        let Span { epoch, from, to } = frames;
         self.deaths += 1;
         self.recent.push_back(now);
         while self
@@ -79,7 +80,7 @@ impl Trouble {
             self.recent.pop_front();
         }
         if to.saturating_sub(from) > 1 {
-            self.suspect = Some((epoch, from, to));
+            self.suspect = Some(frames);
             return None;
         }
         self.set_aside.insert((epoch, from));
@@ -123,6 +124,10 @@ mod tests {
         }
     }
 
+    fn span(from: u64, to: u64) -> Span {
+        Span { epoch: 7, from, to }
+    }
+
     /// Returns first and end of each part. Gaps are negative.
     fn parts(trouble: &Trouble, input: FrameBlock) -> Vec<(i64, i64)> {
         let span = |part: IdentificationInput| match part {
@@ -142,12 +147,12 @@ mod tests {
     fn frame_that_causes_two_panics_is_found_and_set_aside() {
         let mut trouble = Trouble::default();
         assert_eq!(parts(&trouble, block(0, 9)), [(0, 9)]);
-        assert_eq!(trouble.died(Instant::now(), 7, 3, 6), None);
+        assert_eq!(trouble.died(Instant::now(), span(3, 6)), None);
         assert_eq!(
             parts(&trouble, block(0, 9)),
             [(0, 3), (3, 4), (4, 5), (5, 6), (6, 9)]
         );
-        assert_eq!(trouble.died(Instant::now(), 7, 4, 5), Some(4));
+        assert_eq!(trouble.died(Instant::now(), span(4, 5)), Some(4));
         assert_eq!(
             parts(&trouble, block(0, 9)),
             [(0, 3), (3, 4), (-4, -5), (5, 6), (6, 9)]
@@ -169,10 +174,10 @@ mod tests {
         let (mut trouble, mut now) = (Trouble::default(), Instant::now());
         for frame in 0..3 * MOST_DEATHS as u64 {
             now += DEATHS_WITHIN / (MOST_DEATHS as u32 - 1);
-            trouble.died(now, 7, frame, frame + 1);
+            trouble.died(now, span(frame, frame + 1));
             assert!(!trouble.is_hopeless(), "death {frame}");
         }
-        trouble.died(now, 7, 1000, 1001);
+        trouble.died(now, span(1000, 1001));
         assert!(trouble.is_hopeless(), "one more than may be within an hour");
         assert_eq!(trouble.deaths(), 3 * MOST_DEATHS as u64 + 1);
     }
@@ -180,7 +185,7 @@ mod tests {
     #[test]
     fn block_of_one_frame_is_set_aside_at_once_and_its_end_is_kept() {
         let mut trouble = Trouble::default();
-        assert_eq!(trouble.died(Instant::now(), 7, 8, 9), Some(8));
+        assert_eq!(trouble.died(Instant::now(), span(8, 9)), Some(8));
         let last = FrameBlock {
             state: StreamState::Ended,
             ..block(8, 1)

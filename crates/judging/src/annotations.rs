@@ -29,9 +29,22 @@ pub(crate) enum Refusal {
     #[error("the epochs are not saved, so the past cannot be judged again")]
     Behind,
     #[error("the file cannot be written: {0}")]
-    File(#[from] std::io::Error),
+    File(std::io::Error),
     #[error("the past cannot be judged again: {0}")]
-    Again(#[from] JudgingError),
+    Again(JudgingError),
+}
+
+// Not sources, because the text contains them.
+impl From<std::io::Error> for Refusal {
+    fn from(error: std::io::Error) -> Self {
+        Self::File(error)
+    }
+}
+
+impl From<JudgingError> for Refusal {
+    fn from(error: JudgingError) -> Self {
+        Self::Again(error)
+    }
 }
 
 impl AnnotationLog {

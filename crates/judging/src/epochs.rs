@@ -27,9 +27,6 @@ const HOLDS_FOR_INTERVALS: f64 = 2.0;
 /// Maximum number of epochs for which values of a condition are kept. Conditions arrive without
 /// estimates while the monitoring is blind.
 const CONDITIONS_KEPT: usize = 64;
-/// Largest time by which a value may be ahead of the clock of the machine (ns). An epoch of the
-/// future would exclude all epochs before it.
-const MAX_AHEAD_NS: i64 = 60_000_000_000;
 /// Difference between the scales K and °C.
 const KELVIN_OF_0_CELSIUS: f64 = 273.15;
 const NS_PER_S: f64 = 1e9;
@@ -323,7 +320,7 @@ impl Epochs {
     }
 
     fn is_ahead(&self, time_ns: i64) -> bool {
-        time_ns > self.clock_ns.saturating_add(MAX_AHEAD_NS)
+        time_ns > self.clock_ns.saturating_add(ConditionDisplay::MAX_AHEAD_NS)
     }
 
     fn take_condition(&mut self, display: &ConditionDisplay) -> Result<(), &'static str> {

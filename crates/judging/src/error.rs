@@ -50,3 +50,15 @@ pub enum JudgingError {
     #[error(transparent)]
     Bus(#[from] BusError),
 }
+
+impl JudgingError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::NotJudged { .. } | Self::Name { .. } | Self::Judge(_) => true,
+            Self::Bus(error) => error.is_bad_input(),
+            Self::File { .. } | Self::Annotations { .. } | Self::Record(_) => false,
+        }
+    }
+}

@@ -31,3 +31,15 @@ pub enum ModesError {
     #[error(transparent)]
     Bus(#[from] BusError),
 }
+
+impl ModesError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::NotFollowed { .. } | Self::Name { .. } | Self::Modal(_) => true,
+            Self::Bus(error) => error.is_bad_input(),
+            Self::Checkpoint(_) => false,
+        }
+    }
+}

@@ -10,7 +10,8 @@ use spandrel_bus::{
     ParameterDisplay, ProgressPublisher, Service, Stream,
 };
 use spandrel_service::{
-    EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
+    EventPublisher, LAST_FRAMES, LAST_FRAMES_IN_ALL, Monitored, Report, STATUS_EVERY,
+    ServiceInstance, StatusPublisher, Stop,
 };
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -19,11 +20,6 @@ use tracing::info;
 
 /// Interval at which each mode is published again, for new subscribers.
 const REPEAT_EVERY: Duration = Duration::from_secs(5);
-/// After a stop, the service waits until no frame has arrived for this long.
-const LAST_FRAMES: Duration = Duration::from_millis(100);
-/// Maximum total wait for frames after a stop, because an ingest in another process continues to
-/// send.
-const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// Start-up settings of the mode tracking service of one structure.
 #[derive(Clone, Debug)]

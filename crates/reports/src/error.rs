@@ -32,3 +32,15 @@ pub enum ReportsError {
     #[error(transparent)]
     Bus(#[from] BusError),
 }
+
+impl ReportsError {
+    /// Returns `true` if a file, an argument or a setting of the user is the cause.
+    #[must_use]
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::NotReported { .. } | Self::Earthquake(_) => true,
+            Self::Bus(error) => error.is_bad_input(),
+            Self::Folder { .. } | Self::Checkpoint(_) => false,
+        }
+    }
+}

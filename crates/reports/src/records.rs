@@ -25,13 +25,17 @@ const REMAINING: f64 = 0.9;
 /// Reason why a recording or a report is not kept.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum KeepError {
-    #[error("{source}{}", cause(.source))]
-    Record {
-        #[from]
-        source: RecordError,
-    },
-    #[error("cannot write {}: {source}", path.display())]
-    Write { path: PathBuf, source: io::Error },
+    #[error("{reason}{}", cause(.reason))]
+    Record { reason: RecordError },
+    #[error("cannot write {}: {reason}", path.display())]
+    Write { path: PathBuf, reason: io::Error },
+}
+
+// Not a source, because the text contains it.
+impl From<RecordError> for KeepError {
+    fn from(reason: RecordError) -> Self {
+        Self::Record { reason }
+    }
 }
 
 /// Returns the cause of an error, such as a full disk, as the end of its text.
@@ -94,7 +98,7 @@ impl Records {
         let stem = self.stem(about.start_ns, part);
         let json = serde_json::to_vec(about).map_err(|error| KeepError::Write {
             path: self.about(&stem),
-            source: error.into(),
+            reason: error.into(),
         })?;
         self.write(&self.about(&stem), &json)?;
         settle(part, &self.record(&stem))?;
@@ -144,9 +148,9 @@ impl Records {
     fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), KeepError> {
         let part = path.with_extension("part");
         let written = File::create(&part).and_then(|mut file| file.write_all(bytes));
-        let written = written.map_err(|source| KeepError::Write {
+        let written = written.map_err(|reason| KeepError::Write {
             path: part.clone(),
-            source,
+            reason,
         });
         let settled = written.and_then(|()| settle(&part, path));
         if settled.is_err() {
@@ -239,9 +243,9 @@ impl Records {
 fn settle(part: &Path, path: &Path) -> Result<(), KeepError> {
     let forced = File::open(part).and_then(|file| file.sync_all());
     let renamed = forced.and_then(|()| std::fs::rename(part, path));
-    renamed.map_err(|source| KeepError::Write {
+    renamed.map_err(|reason| KeepError::Write {
         path: path.to_owned(),
-        source,
+        reason,
     })?;
     sync_name(path);
     Ok(())

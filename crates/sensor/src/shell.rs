@@ -5,7 +5,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use spandrel_bus::{
     Block, BoxedFuture, Bus, CaughtUp, FrameBlock, Keep, Keys, LiveToken, NumberedPublisher,
-    NumberedStream, Pace, Progress, ProgressWatch, SampleBlock, Service, StreamState, TimeGrid,
+    NumberedStream, POSITION_TIMEOUT, Pace, Progress, ProgressWatch, SampleBlock, Service,
+    StreamState, TimeGrid,
 };
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
@@ -33,8 +34,6 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Like [`PATIENCE`], but after a stop request, because the services waited for may have stopped as
 /// well.
 const PATIENCE_AFTER_STOP: Duration = Duration::from_secs(2);
-/// Timeout of the query for the current frame position of ingest.
-const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Origin of the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -32,5 +32,5 @@ pub use audit::{Audit, AuditLine, AuditLog, LostReader, Refused};
 pub use clock::Clock;
 pub use events::{EventPublisher, log_event};
 pub use plan::{Monitored, ServiceInstance};
-pub use service::{Service, Stop};
+pub use service::{LAST_FRAMES, LAST_FRAMES_IN_ALL, Service, Stop};
 pub use status::{Report, STATUS_EVERY, StatusPublisher};

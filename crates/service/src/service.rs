@@ -1,11 +1,18 @@
 //! How a service starts and runs.
 
 use std::fmt::Display;
+use std::time::Duration;
 
 use spandrel_bus::BoxedFuture;
 
 /// Completes when a service must stop.
 pub type Stop<'a> = BoxedFuture<'a, ()>;
+
+/// After a stop, a service that reads frames waits until none has arrived for this long.
+pub const LAST_FRAMES: Duration = Duration::from_millis(100);
+/// Maximum total wait for frames after a stop, because an ingest in another process continues to
+/// send.
+pub const LAST_FRAMES_IN_ALL: Duration = Duration::from_secs(1);
 
 /// A service that has been started.
 pub trait Service: Sized + Send + 'static {

@@ -699,10 +699,14 @@ impl AppError {
             Self::Bus(error) => error.is_bad_input(),
             Self::Dashboard(error) => error.is_bad_input(),
             Self::Feed(error) => error.is_bad_input(),
+            Self::Fuse(error) => error.is_bad_input(),
             Self::History(error) => error.is_bad_input(),
             Self::Identify(error) => error.is_bad_input(),
             Self::Ingest(error) => error.is_bad_input(),
+            Self::Judging(error) => error.is_bad_input(),
+            Self::Modes(error) => error.is_bad_input(),
             Self::Notify(error) => error.is_bad_input(),
+            Self::Reports(error) => error.is_bad_input(),
             Self::Sensor(error) => error.is_bad_input(),
             Self::Validate(error) => error.is_bad_input(),
             Self::Structure(_)
@@ -764,11 +768,7 @@ impl AppError {
             | Self::Name(_)
             | Self::CertificateOfNone { .. }
             | Self::WrongRole { .. } => true,
-            Self::Fuse(_)
-            | Self::Judging(_)
-            | Self::Modes(_)
-            | Self::Reports(_)
-            | Self::FiguresMissed { .. }
+            Self::FiguresMissed { .. }
             | Self::ChannelsMissing { .. }
             | Self::NothingMeasured
             | Self::NoMode { .. }

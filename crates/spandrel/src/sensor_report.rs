@@ -2,14 +2,12 @@
 
 use crate::error::AppError;
 use serde_json::json;
+use spandrel_earthquake::motion::GRAVITY;
 use spandrel_faults::{ChannelHealth, Fault, SensorCheck, Soundness};
 use spandrel_sensor::{open_record, recorded_rows};
 use spandrel_structure::{Channel, Structure};
 use std::fmt;
 use std::path::PathBuf;
-
-/// Standard gravity (m/s²), the factor between g and m/s².
-const GRAVITY: f64 = 9.806_65;
 
 /// Largest ratio of a factor to the factor between two units that suggests a wrong unit.
 const NEAR_UNIT: f64 = 1.3;

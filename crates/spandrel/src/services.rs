@@ -382,6 +382,25 @@ impl Running {
         Ok(())
     }
 
+    /// Starts an instance for each structure for which `plan` returns a plan.
+    async fn start_each<S>(
+        &mut self,
+        service: Service,
+        plan: impl Fn(ServiceInstance, Monitored) -> Option<S::Plan>,
+    ) -> Result<(), AppError>
+    where
+        S: spandrel_service::Service,
+        AppError: From<S::Error>,
+    {
+        for monitored in self.monitored.clone() {
+            let of = monitored.structure.name().to_owned();
+            if let Some(plan) = plan(self.instance(service), monitored) {
+                self.start::<S>(service, &of, plan).await?;
+            }
+        }
+        Ok(())
+    }
+
     fn stage(&mut self, service: Service) -> Option<&mut Stage> {
         self.stages
             .iter_mut()
@@ -422,17 +441,14 @@ impl Running {
     /// # Errors
     /// An instance cannot start.
     pub async fn start_ingest(&mut self, state: Option<&State>) -> Result<(), AppError> {
-        for monitored in self.monitored.clone() {
-            let of = monitored.structure.name().to_owned();
-            let plan = IngestPlan {
-                instance: self.instance(Service::Ingest),
+        self.start_each::<IngestService>(Service::Ingest, |instance, monitored| {
+            Some(IngestPlan {
+                instance,
                 recording: state.map(|state| state.recording(&monitored.keys)),
                 monitored,
-            };
-            self.start::<IngestService>(Service::Ingest, &of, plan)
-                .await?;
-        }
-        Ok(())
+            })
+        })
+        .await
     }
 
     /// Starts the identification of each structure with a model on one thread pool.
@@ -520,18 +536,14 @@ impl Running {
     /// # Errors
     /// An instance cannot start.
     pub async fn start_fuse(&mut self) -> Result<(), AppError> {
-        for monitored in self.monitored.clone() {
-            if monitored.structure.fusion().is_none() {
-                continue;
-            }
-            let of = monitored.structure.name().to_owned();
-            let plan = FusePlan {
-                instance: self.instance(Service::Fuse),
+        self.start_each::<FuseService>(Service::Fuse, |instance, monitored| {
+            monitored.structure.fusion()?;
+            Some(FusePlan {
+                instance,
                 monitored,
-            };
-            self.start::<FuseService>(Service::Fuse, &of, plan).await?;
-        }
-        Ok(())
+            })
+        })
+        .await
     }
 
     /// Starts the alert service of each structure that a filter estimates, with its baseline if
@@ -566,19 +578,14 @@ impl Running {
     /// # Errors
     /// An instance cannot start.
     pub async fn start_modes(&mut self) -> Result<(), AppError> {
-        for monitored in self.monitored.clone() {
-            if monitored.structure.modal().is_none() {
-                continue;
-            }
-            let of = monitored.structure.name().to_owned();
-            let plan = ModesPlan {
-                instance: self.instance(Service::Modes),
+        self.start_each::<ModesService>(Service::Modes, |instance, monitored| {
+            monitored.structure.modal()?;
+            Some(ModesPlan {
+                instance,
                 monitored,
-            };
-            self.start::<ModesService>(Service::Modes, &of, plan)
-                .await?;
-        }
-        Ok(())
+            })
+        })
+        .await
     }
 
     /// Starts the judgement of each structure that has a table `[judge]`.
@@ -586,19 +593,14 @@ impl Running {
     /// # Errors
     /// An instance cannot start.
     pub async fn start_judge(&mut self) -> Result<(), AppError> {
-        for monitored in self.monitored.clone() {
-            if monitored.structure.judge().is_none() {
-                continue;
-            }
-            let of = monitored.structure.name().to_owned();
-            let plan = JudgePlanned {
-                instance: self.instance(Service::Judge),
+        self.start_each::<JudgeService>(Service::Judge, |instance, monitored| {
+            monitored.structure.judge()?;
+            Some(JudgePlanned {
+                instance,
                 monitored,
-            };
-            self.start::<JudgeService>(Service::Judge, &of, plan)
-                .await?;
-        }
-        Ok(())
+            })
+        })
+        .await
     }
 
     /// Starts the reports of each structure that has a table `[earthquakes]`.

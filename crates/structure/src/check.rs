@@ -8,6 +8,8 @@ mod finding;
 mod identification;
 mod particles;
 
+pub use particles::MOST_PARTICLE_STATES;
+
 use crate::hysteresis::Constant;
 use crate::information::Information;
 use crate::parameter::Scales;

@@ -105,8 +105,8 @@ mod wrong_model;
 
 pub use alert_rule::{AlertRule, Reference};
 pub use check::{
-    Assumption, CheckReport, Finding, IdentificationReport, ModeReport, NoiseLevelReport,
-    ParameterReport, Severity, Shift, TimeStepReport,
+    Assumption, CheckReport, Finding, IdentificationReport, MOST_PARTICLE_STATES, ModeReport,
+    NoiseLevelReport, ParameterReport, Severity, Shift, TimeStepReport,
 };
 pub use classes::StructureClasses;
 pub use common_motion::CommonMotion;

@@ -56,15 +56,6 @@ impl Parameter {
         self.bounds
     }
 
-    /// Returns `true` if the parameter scales damping.
-    #[must_use]
-    pub fn is_damping(&self) -> bool {
-        matches!(
-            self.scales,
-            Scales::Damping | Scales::DampingAlpha | Scales::DampingBeta | Scales::Dashpots(_)
-        )
-    }
-
     /// Returns `true` if the parameter scales a stiffness, so that `1 − θ` is a loss of stiffness.
     #[must_use]
     pub fn is_stiffness(&self) -> bool {

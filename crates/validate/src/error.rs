@@ -29,10 +29,10 @@ pub enum ValidateError {
     #[error("the example could not be run: {0}")]
     Fit(String),
     /// A simulated series could not be judged.
-    #[error("the judgement stopped: {0}")]
+    #[error("the judgement stopped")]
     Judge(#[from] spandrel_judge::JudgeError),
     /// A simulated epoch could not be identified.
-    #[error("the identification of modes stopped: {0}")]
+    #[error("the identification of modes stopped")]
     Modal(#[from] spandrel_modal::ModalError),
     /// A real record has no result.
     #[error(transparent)]

@@ -67,6 +67,10 @@ pub struct ConditionDisplay {
 }
 
 impl ConditionDisplay {
+    /// Maximum time by which a value may be ahead of the clock of its reader, ns. A value of the
+    /// future would exclude all values before it.
+    pub const MAX_AHEAD_NS: i64 = 60_000_000_000;
+
     /// Returns the units of conditions.
     pub fn units() -> impl Iterator<Item = &'static str> {
         UNITS.iter().map(|(unit, _)| *unit)

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use spandrel_bus::{Block, FrameBlock, Service, StreamState, is_without_date};
+use spandrel_bus::{Block, FrameBlock, POSITION_TIMEOUT, Service, StreamState, is_without_date};
 use tokio::time::timeout;
 use tracing::{info, warn};
 
@@ -11,8 +11,6 @@ use super::{FedStructure, Part};
 use crate::core_input::Recorded;
 use crate::source_plan::SourcePlan;
 
-/// Timeout of the query for the last frame of ingest.
-const POSITION_TIMEOUT: Duration = Duration::from_secs(2);
 /// Number of such queries while ingest is present.
 const POSITION_ATTEMPTS: u32 = 5;
 /// Longest wait at a stop until ingest has processed the last samples.

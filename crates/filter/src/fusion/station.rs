@@ -283,13 +283,6 @@ impl Station {
         self.at = None;
     }
 
-    /// Returns the time of the last fusion (fusion periods), or `None` before the first fusion
-    /// since the start, since [`Station::restore`] or since [`Station::restart_clock`].
-    #[must_use]
-    pub fn last_fusion(&self) -> Option<f64> {
-        self.at
-    }
-
     /// Returns `true` if the station has received message `index` of a node, or a later one.
     #[must_use]
     pub fn has_received(&self, node: usize, index: u64) -> bool {

@@ -5,6 +5,7 @@ use spandrel_checkpoint::{Checkpoints, Remembering};
 use spandrel_service::Service as _;
 use std::num::NonZeroUsize;
 use std::path::Path;
+use std::time::Duration;
 
 /// Unlike the numbers of a stream from its start.
 const FIRST: u64 = 1_000_000;

@@ -10,11 +10,8 @@ use spandrel_bus::EstimateBlock;
 use spandrel_identify::{Estimator, Identification, IdentifyError};
 use spandrel_record::EstimateWriter;
 use spandrel_sensor::{open_record, recorded_rows};
-use spandrel_structure::Structure;
+use spandrel_structure::{MOST_PARTICLE_STATES, Structure};
 use tracing::warn;
-
-/// Number of states and parameters above which thousands of particles do not suffice.
-const MOST_STATES: usize = 10;
 
 /// Identifies the recording, writes the estimates on request, and prints the summary.
 ///
@@ -130,7 +127,7 @@ fn identification(
                 );
             }
             let states = 2 * structure.degrees_of_freedom().len() + structure.parameters().len();
-            if states > MOST_STATES {
+            if states > MOST_PARTICLE_STATES {
                 warn!(
                     "{states} states and parameters: the required number of particles grows \
                      exponentially with them, and with too few particles the intervals are much \

@@ -3,6 +3,7 @@
 //! Every diagram is 720 units wide. The style sheet of the page sets colours and fonts, so that a
 //! diagram needs no script.
 
+use super::course::TWO_SIDED_95;
 use super::page::escape;
 use super::report::{EventReport, GroundSpectrum, ParameterReport};
 use spandrel_earthquake::{CoursePoint, Phase, Window};
@@ -14,8 +15,6 @@ const LEFT: f64 = 52.0;
 const RIGHT: f64 = 708.0;
 /// Largest number of points of a curve. Each is the smallest and largest of its samples.
 const MOST_POINTS: usize = 656;
-/// Two-sided 95 % of a normal distribution.
-const TWO_SIDED_95: f64 = 1.96;
 
 /// One axis: values and their places.
 #[derive(Debug, Clone, Copy)]

@@ -22,7 +22,7 @@ const MEMORY_HALF_LIVES: f64 = 2.0;
 /// Longest memory that is waited for (s), if the filter forgets slowly or not at all.
 const LONGEST_MEMORY_S: f64 = 3600.0;
 /// Two-sided 95 % of a normal distribution.
-const TWO_SIDED_95: f64 = 1.96;
+pub const TWO_SIDED_95: f64 = 1.96;
 /// The events of a structure, one after the other.
 #[derive(Debug)]
 pub struct Course {

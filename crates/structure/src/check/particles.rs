@@ -7,7 +7,7 @@ use crate::structure::Structure;
 use spandrel_filter::{ImportanceDensity, ProcessModel};
 
 /// Maximum number of states and parameters for which thousands of particles suffice.
-const MOST_STATES: usize = 10;
+pub const MOST_PARTICLE_STATES: usize = 10;
 /// Maximum share of the frame interval for a step; the services need the rest.
 const MOST_OF_A_STEP: f64 = 0.5;
 /// Measured time (s) of one particle in a step with the prior density, on one 2.5 GHz core.
@@ -30,7 +30,7 @@ impl Structure {
             true => Finding::ParticlesTooSlow { needed_s, step_s },
             false => Finding::ParticlesInTime { needed_s, step_s },
         }];
-        if states > MOST_STATES {
+        if states > MOST_PARTICLE_STATES {
             findings.push(Finding::ParticlesTooFew {
                 states,
                 particles: keys.particles,

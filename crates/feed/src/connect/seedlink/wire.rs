@@ -30,7 +30,7 @@ pub(super) struct Frame {
 #[derive(Debug, thiserror::Error)]
 pub(super) enum WireError {
     #[error("connection lost: {0}")]
-    Io(#[from] std::io::Error),
+    Io(std::io::Error),
     #[error("no answer within {} s", .0.as_secs())]
     Silent(Duration),
     #[error("the server closed the connection")]
@@ -45,6 +45,13 @@ pub(super) enum WireError {
         found: String,
         allowed: &'static str,
     },
+}
+
+// Not a source, because the text contains it.
+impl From<std::io::Error> for WireError {
+    fn from(error: std::io::Error) -> Self {
+        Self::Io(error)
+    }
 }
 
 /// A connection to a server.
