@@ -302,6 +302,41 @@ async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_
         .expect_told(&["s ahead of most nodes"]);
 }
 
+// Its time began the frames. The samples of the others were late, so the events blamed the others.
+#[tokio::test(flavor = "multi_thread")]
+async fn node_that_is_seconds_ahead_and_comes_first_is_named_and_no_other_node_is() {
+    for off_s in [3, 30] {
+        let mut running = Running::start().await;
+        let all = [("roof", off_s), ("ground", 0), ("floor-1", 0)];
+        for _ in 0..10 {
+            running.put(&all[..1]).await;
+        }
+        let (mut named, mut others) = (None, Vec::new());
+        for block in 0..BLOCKS_OF_NAMED_WITHIN + 50 {
+            running.put(&all).await;
+            for (_, event) in running.events.messages().try_iter() {
+                match (event.kind, event.subject.as_str()) {
+                    (EventKind::ClockWrong, "roof") => named = named.or(Some((block, event))),
+                    (_, "ground" | "floor-1") => others.push(event),
+                    _ => {}
+                }
+            }
+        }
+        let (block, event) = named.unwrap_or_else(|| panic!("{}", running.services.log()));
+        println!("{off_s} s ahead: named after {block} blocks: {event:?}");
+        assert!(block < BLOCKS_OF_NAMED_WITHIN, "{block}: {event:?}");
+        assert!(event.why.starts_with("2 of 3 nodes"), "{event:?}");
+        assert!(others.is_empty(), "{others:?}");
+        running
+            .until_frame("of the others alone", &all, |frame| {
+                frame[..2].iter().all(|value| value.is_finite())
+                    && frame[2..].iter().all(|value| value.is_nan())
+            })
+            .await;
+        running.services.stop().expect_code(0);
+    }
+}
+
 // Such a structure has no alert service. Notify called it blind after `blind-after-s`.
 #[tokio::test(flavor = "multi_thread")]
 async fn wrong_clock_of_a_structure_without_a_model_is_the_only_notice() {

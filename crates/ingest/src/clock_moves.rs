@@ -2,7 +2,7 @@
 //!
 //! The [vote](crate::clock_vote) excludes a node whose clock differs by seconds, and reports it. A
 //! smaller difference leaves its samples in the frames, at wrong times, where it looks like a delay
-//! of the sensor. The offset of a node is the time of its newest sample minus a monotonic clock at
+//! of the sensor. A difference from the start is therefore reported as well, once. The offset of a node is the time of its newest sample minus a monotonic clock at
 //! its arrival. The largest offset within a window has the least delay.
 
 use std::time::Duration;
@@ -11,10 +11,12 @@ use std::time::Duration;
 const WINDOW: Duration = Duration::from_secs(5);
 /// Least movement that is reported, ns. Links rarely delay all samples of a window by as much.
 const LEAST_NS: i64 = 100_000_000;
+/// Least difference from the start that is reported, ns. Links of different kinds differ by less.
+const LEAST_APART_NS: i64 = 250_000_000;
 /// Minimum number of nodes. With fewer nodes, it is not known whose clock has moved.
 const LEAST_NODES: usize = 3;
 
-/// A clock that has moved.
+/// A clock that has moved, or that differs from the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ClockMove {
     /// Index of the node.
@@ -22,8 +24,10 @@ pub(crate) struct ClockMove {
     /// Change of the difference between its clock and that of most nodes, ns: positive if the
     /// clock is now further ahead.
     pub(crate) by_ns: i64,
-    /// Span within which the clock has moved.
-    pub(crate) within: Duration,
+    /// Span within which the clock has moved. `None` if it has differed since the start.
+    pub(crate) within: Option<Duration>,
+    /// Number of nodes that were compared.
+    pub(crate) nodes: usize,
 }
 
 /// The clocks of the nodes of a structure. The passage of time is an argument.
@@ -85,8 +89,8 @@ impl ClockMoves {
         let largest = self.nodes.iter().filter_map(|clock| clock.largest_ns);
         let mut largest: Vec<i64> = largest.collect();
         largest.sort_unstable();
-        let median_ns = largest.get(largest.len() / 2).copied();
-        let median_ns = median_ns.filter(|_| largest.len() >= LEAST_NODES);
+        let nodes = largest.len();
+        let median_ns = largest.get(nodes / 2).copied();
         let mut moves = Vec::new();
         for (node, clock) in self.nodes.iter_mut().enumerate() {
             let offset_ns = clock.largest_ns.take();
@@ -100,18 +104,27 @@ impl ClockMoves {
             if difference_ns.abs_diff(former_ns) > LEAST_NS as u64 / 2 {
                 continue; // still moving, or catching up after an outage
             }
-            let (reference_ns, since) = *clock.reference.get_or_insert((difference_ns, now));
-            let by_ns = difference_ns.saturating_sub(reference_ns);
-            if by_ns.unsigned_abs() >= LEAST_NS as u64 {
-                clock.reference = Some((difference_ns, now));
-                if by_ns.unsigned_abs() <= self.most_ns {
-                    let within = now.saturating_sub(since);
-                    moves.push(ClockMove {
-                        node,
-                        by_ns,
-                        within,
-                    });
+            let (by_ns, within) = match clock.reference {
+                None if difference_ns.unsigned_abs() >= LEAST_APART_NS as u64 => {
+                    (difference_ns, None)
                 }
+                Some((reference_ns, since)) if nodes >= LEAST_NODES => {
+                    let by_ns = difference_ns.saturating_sub(reference_ns);
+                    (by_ns, Some(now.saturating_sub(since)))
+                }
+                _ => (0, None),
+            };
+            let has_moved = by_ns.unsigned_abs() >= LEAST_NS as u64;
+            if clock.reference.is_none() || has_moved {
+                clock.reference = Some((difference_ns, now));
+            }
+            if has_moved && by_ns.unsigned_abs() <= self.most_ns {
+                moves.push(ClockMove {
+                    node,
+                    by_ns,
+                    within,
+                    nodes,
+                });
             }
         }
         moves
@@ -172,7 +185,8 @@ mod tests {
             ClockMove {
                 node: 2,
                 by_ns,
-                within,
+                within: Some(within),
+                ..
             },
         ] = moves[..]
         else {
@@ -202,7 +216,24 @@ mod tests {
     #[test]
     fn different_constant_delays_and_jitter_are_no_movement() {
         let mut rig = Rig::new(4);
-        assert_eq!(rig.run(300, |node, _| -250.0 * node as f64), []);
+        assert_eq!(rig.run(300, |node, _| -60.0 * node as f64), []);
+    }
+
+    #[test]
+    fn difference_from_the_start_is_reported_once() {
+        let mut rig = Rig::new(4);
+        let behind = |node: usize, _: f64| if node == 1 { -300.0 } else { 0.0 };
+        let apart = |node, by_ms, nodes| ClockMove {
+            node,
+            by_ns: by_ms * MS,
+            within: None,
+            nodes,
+        };
+        assert_eq!(rig.run(300, behind), [apart(1, -300, 4)]);
+        // Of two nodes, the one that is behind is named.
+        let mut rig = Rig::new(2);
+        let behind = |node: usize, _: f64| if node == 0 { -300.0 } else { 0.0 };
+        assert_eq!(rig.run(300, behind), [apart(0, -300, 2)]);
     }
 
     #[test]

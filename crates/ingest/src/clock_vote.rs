@@ -4,6 +4,9 @@
 //! its arrival. A delay only lowers the offset, and a node that catches up after a delay raises it
 //! quickly. A node therefore votes only with an offset that is steady.
 //!
+//! A node that is ahead cannot be late. If more than half of the nodes agree more closely, it is
+//! wrong from a smaller difference on, once this difference has been steady.
+//!
 //! More than half of the votes, and at least two, decide. They must agree within a limit. Their
 //! decision remains in force as long as one node supports it. A node whose clock jumps, or that
 //! restarts first after a power cut, therefore cannot change it alone. If more than half of the
@@ -28,6 +31,9 @@ const TOGETHER: Duration = Duration::from_millis(10);
 const CAUGHT_UP_WITHIN: Duration = Duration::from_secs(1);
 /// Span for which a node must be steadily behind before its clock is blamed and not its link.
 const BEHIND_FOR: Duration = Duration::from_secs(3);
+/// Span for which a node must be steadily ahead within the limit. Links that delay most other nodes
+/// by as much are rarely steady for longer.
+const AHEAD_FOR: Duration = Duration::from_secs(5);
 /// Span for which the vote of a silent node counts. Nodes restart within it after a power cut.
 const VOTE_LASTS: Duration = Duration::from_secs(300);
 /// Change of an offset that calls for a new count of the votes, ns.
@@ -60,9 +66,13 @@ pub enum ClockVerdict {
 #[derive(Debug)]
 pub struct ClockVote {
     limit_ns: i64,
+    /// Largest steady lead over most nodes that links explain, ns. At most `limit_ns`.
+    lead_ns: i64,
     nodes: Vec<Voter>,
     /// Clock of the majority minus the monotonic clock, ns.
     majority_ns: Option<i64>,
+    /// Whether more than half of the votes, and at least two, are within `lead_ns` of it.
+    is_close: bool,
     /// Clock of the machine minus the monotonic clock, ns. It decides between equal groups.
     machine_ns: Option<i64>,
     tied_since: Option<Duration>,
@@ -76,8 +86,9 @@ struct Voter {
     vote_ns: Option<i64>,
     /// The offset that was counted last, ns.
     counted_ns: Option<i64>,
-    /// Since when the node is steadily behind, and its offset then (ns).
-    behind_since: Option<(Duration, i64)>,
+    /// Since when the node is steadily behind, or steadily ahead within the limit, and its offset
+    /// then (ns).
+    apart_since: Option<(Duration, i64)>,
     /// Since when the node is ahead without a jump.
     ahead_since: Option<Duration>,
     /// Change of the offset by the newest sample, ns; `None` before the second sample.
@@ -120,21 +131,21 @@ impl Voter {
     ///
     /// No delay moves a clock ahead, so the first sample that jumps ahead is wrong. A node that
     /// comes ahead without a jump may be the first of late nodes that catch up, and is judged after
-    /// [`CAUGHT_UP_WITHIN`]. A node that is behind may be late, and is judged after it has been
-    /// steadily behind.
-    fn compare(&mut self, majority_ns: Option<i64>, limit_ns: i64, now: Duration) {
+    /// [`CAUGHT_UP_WITHIN`]. A node that is behind may be late, and most other nodes may be late if
+    /// the node is ahead by more than `lead_ns`. It is judged after the difference has been steady.
+    fn compare(&mut self, majority_ns: Option<i64>, limit_ns: i64, lead_ns: i64, now: Duration) {
         let ahead_ns = majority_ns.map_or(0, |majority_ns| self.ahead_of(majority_ns));
         if ahead_ns > limit_ns {
             let since = *self.ahead_since.get_or_insert(now);
             let has_jumped = self.rise_ns.is_none_or(|rise_ns| rise_ns > limit_ns);
             self.is_wrong |= has_jumped || now.saturating_sub(since) >= CAUGHT_UP_WITHIN;
-            self.behind_since = None;
+            self.apart_since = None;
             return;
         }
         self.ahead_since = None;
-        if ahead_ns >= -limit_ns {
+        if (-limit_ns..=lead_ns).contains(&ahead_ns) {
             self.is_wrong = false;
-            self.behind_since = None;
+            self.apart_since = None;
             return;
         }
         let Some(steady_ns) = self.steady_ns(now) else {
@@ -143,12 +154,13 @@ impl Voter {
         let is_same = |(_, first_ns): &(Duration, i64)| {
             first_ns.abs_diff(steady_ns) <= STEADY_WITHIN_NS.unsigned_abs()
         };
-        let first = self
-            .behind_since
-            .filter(is_same)
-            .unwrap_or((now, steady_ns));
-        self.behind_since = Some(first);
-        self.is_wrong |= now.saturating_sub(first.0) >= BEHIND_FOR;
+        let first = self.apart_since.filter(is_same).unwrap_or((now, steady_ns));
+        self.apart_since = Some(first);
+        let required = match ahead_ns > 0 {
+            true => AHEAD_FOR,
+            false => BEHIND_FOR,
+        };
+        self.is_wrong |= now.saturating_sub(first.0) >= required;
     }
 
     /// Returns the largest recent offset if it has not changed for [`STEADY_FOR`].
@@ -167,13 +179,17 @@ impl Voter {
 }
 
 impl ClockVote {
-    /// Creates the vote of `nodes` nodes whose clocks and links may differ by `limit`.
+    /// Creates the vote of `nodes` nodes whose clocks and links may differ by `limit`. A node may
+    /// steadily be ahead of most nodes by `lead`.
     #[must_use]
-    pub fn new(limit: Duration, nodes: usize) -> Self {
+    pub fn new(limit: Duration, lead: Duration, nodes: usize) -> Self {
+        let ns = |span: Duration| i64::try_from(span.as_nanos()).unwrap_or(i64::MAX);
         Self {
-            limit_ns: i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX),
+            limit_ns: ns(limit),
+            lead_ns: ns(lead.min(limit)),
             nodes: (0..nodes).map(|_| Voter::default()).collect(),
             majority_ns: None,
+            is_close: false,
             machine_ns: None,
             tied_since: None,
         }
@@ -284,14 +300,18 @@ impl ClockVote {
         self.nodes.get(node).is_some_and(|voter| voter.is_wrong)
     }
 
-    /// Returns how many nodes have voted, and how many of them agree with the majority.
+    /// Returns how many nodes have voted, and how many of them agree with the majority. A node whose
+    /// clock is wrong disagrees, even if its last vote was right.
     #[must_use]
     pub fn tally(&self) -> Tally {
-        let votes = || self.nodes.iter().filter_map(|voter| voter.counted_ns);
-        let agrees = |vote_ns: &i64| self.majority_ns.is_some_and(|of| self.agree(*vote_ns, of));
+        let agrees = |vote_ns: i64| self.majority_ns.is_some_and(|of| self.agree(vote_ns, of));
+        let voters = || self.nodes.iter().filter(|voter| voter.counted_ns.is_some());
+        let right = voters().filter(|voter| !voter.is_wrong);
         Tally {
-            votes: votes().count(),
-            agreeing: votes().filter(agrees).count(),
+            votes: voters().count(),
+            agreeing: right
+                .filter(|voter| voter.counted_ns.is_some_and(agrees))
+                .count(),
         }
     }
 
@@ -328,6 +348,12 @@ impl ClockVote {
             true => median_ns,
             false => self.confirmed_group(&votes, largest.len()).or(former_ns),
         };
+        let is_near = |vote_ns: &&i64| {
+            let distance_ns = self.majority_ns.map(|of_ns| vote_ns.abs_diff(of_ns));
+            distance_ns.is_some_and(|distance_ns| distance_ns <= self.lead_ns.unsigned_abs())
+        };
+        let near = votes.iter().filter(is_near).count();
+        self.is_close = near >= 2 && 2 * near > votes.len();
         self.tied_since = match is_tied && self.majority_ns.is_none() {
             true => self.tied_since.or(Some(now)),
             false => None,
@@ -353,7 +379,11 @@ impl ClockVote {
             return false;
         };
         let was_wrong = voter.is_wrong;
-        voter.compare(self.majority_ns, self.limit_ns, now);
+        let lead_ns = match self.is_close {
+            true => self.lead_ns,
+            false => self.limit_ns,
+        };
+        voter.compare(self.majority_ns, self.limit_ns, lead_ns, now);
         voter.is_wrong != was_wrong
     }
 }
@@ -385,6 +415,7 @@ mod tests {
     use super::*;
 
     const LIMIT: Duration = Duration::from_secs(5);
+    const LEAD: Duration = Duration::from_secs(2);
     const S: i64 = 1_000_000_000;
     const T0: i64 = 1_700_000_000 * S;
 
@@ -397,7 +428,7 @@ mod tests {
     impl Rig {
         fn new(nodes: usize) -> Self {
             Self {
-                vote: ClockVote::new(LIMIT, nodes),
+                vote: ClockVote::new(LIMIT, LEAD, nodes),
                 now: Duration::from_secs(1000),
             }
         }
@@ -443,6 +474,26 @@ mod tests {
         rig.run(10.0, &[(0, -20), (1, -20), (2, -20)]);
         let verdicts = rig.run(0.5, &[(2, 3600), (0, 0), (1, 0)]);
         assert_eq!(verdicts, [AGREES, AGREES, wrong(3600)]);
+    }
+
+    // The difference is within the limit, but no delay of one link explains it.
+    #[test]
+    fn clock_that_is_steadily_ahead_within_the_limit_is_wrong_if_most_others_agree_closely() {
+        let mut rig = Rig::new(4);
+        let of = |off_s: i64| [(2, off_s), (0, 0), (1, 0), (3, 0)];
+        assert_eq!(rig.run(4.0, &of(3)), [AGREES; 4], "not steady for long enough");
+        let ahead = [AGREES, AGREES, wrong(3), AGREES];
+        assert_eq!(rig.run(4.0, &of(3)), ahead);
+        let tally = rig.vote.tally();
+        assert_eq!((tally.votes, tally.agreeing), (4, 3));
+        assert_eq!(rig.run(4.0, &of(0)), [AGREES; 4]);
+        // Links explain a smaller lead, and a node that is behind.
+        assert_eq!(rig.run(10.0, &of(1)), [AGREES; 4]);
+        assert_eq!(rig.run(10.0, &of(-3)), [AGREES; 4]);
+        // Half of the nodes are no majority, and neither is one of two.
+        let halves = [(0, 0), (1, 0), (2, 3), (3, 3)];
+        assert_eq!(Rig::new(4).run(10.0, &halves), [AGREES; 4]);
+        assert_eq!(Rig::new(2).run(10.0, &[(0, 3), (1, 0)]), [AGREES; 2]);
     }
 
     #[test]

@@ -88,6 +88,9 @@ fn report(node: usize, verdict: ClockVerdict, tally: Tally) -> ClockReport {
 
 /// Returns what happened, with numbers, and the reason with advice.
 pub(crate) fn describe_move(moved: &ClockMove) -> (String, String) {
+    let Some(within) = moved.within else {
+        return describe_difference(moved);
+    };
     let (direction, causes) = match moved.by_ns < 0 {
         true => (
             "back",
@@ -102,11 +105,33 @@ pub(crate) fn describe_move(moved: &ClockMove) -> (String, String) {
     let what = format!(
         "the clock of the node has moved {direction} by {seconds:.2} s against most nodes within \
          {} s",
-        moved.within.as_secs()
+        within.as_secs()
     );
     let why = format!(
         "the clock {causes}; its samples are used at the times that it states; check its time \
          synchronisation"
+    );
+    (what, why)
+}
+
+/// Describes a clock that has differed since the start.
+fn describe_difference(apart: &ClockMove) -> (String, String) {
+    let seconds = apart.by_ns.unsigned_abs() as f64 / 1e9;
+    let others = match apart.nodes {
+        2 => "the other node",
+        _ => "most nodes",
+    };
+    let (side, cause) = match apart.by_ns < 0 {
+        true => (
+            "behind",
+            "its samples arrive later than those of other nodes",
+        ),
+        false => ("ahead of", "the samples of other nodes arrive later"),
+    };
+    let what = format!("the clock of the node is {seconds:.2} s {side} {others}");
+    let why = format!(
+        "its clock is wrong, or {cause}; its samples are used at the times that it states, and look \
+         delayed if the clock is wrong; check its time synchronisation"
     );
     (what, why)
 }
@@ -133,11 +158,12 @@ mod tests {
     #[test]
     fn movement_is_described_with_its_direction_and_size() {
         let moved = |by_ns| {
-            let within = std::time::Duration::from_secs(15);
+            let within = Some(std::time::Duration::from_secs(15));
             describe_move(&ClockMove {
                 node: 0,
                 by_ns,
                 within,
+                nodes: 3,
             })
         };
         assert_eq!(
@@ -145,6 +171,26 @@ mod tests {
             "the clock of the node has moved forward by 0.30 s against most nodes within 15 s"
         );
         assert!(moved(-300_000_000).1.contains("arrive later"));
+    }
+
+    #[test]
+    fn difference_from_the_start_is_described_with_its_side() {
+        let apart = |by_ns, nodes| {
+            describe_move(&ClockMove {
+                node: 0,
+                by_ns,
+                within: None,
+                nodes,
+            })
+        };
+        assert_eq!(
+            apart(300_000_000, 3).0,
+            "the clock of the node is 0.30 s ahead of most nodes"
+        );
+        assert_eq!(
+            apart(-300_000_000, 2).0,
+            "the clock of the node is 0.30 s behind the other node"
+        );
     }
 
     #[test]

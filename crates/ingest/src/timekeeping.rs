@@ -12,6 +12,8 @@ use crate::lateness::Lateness;
 
 /// Clocks and links of nodes may differ by this much more than frames wait for late samples.
 const BEYOND_LATENESS: Duration = Duration::from_secs(3);
+/// A node may steadily be ahead of most nodes by this much more than frames wait.
+const LEAD_BEYOND_LATENESS: Duration = Duration::from_millis(500);
 
 /// Lateness and clocks of the nodes of a structure with live samples. The passage of time is an
 /// argument.
@@ -22,6 +24,7 @@ pub(crate) struct Timekeeping {
     watch: ClockWatch,
     moves: ClockMoves,
     limit: Duration,
+    lead: Duration,
     /// Which nodes the alignment distrusts.
     distrusted: Vec<bool>,
 }
@@ -30,12 +33,14 @@ impl Timekeeping {
     /// Creates the state of `nodes` nodes for frames that wait for late samples for `allowed`.
     pub(crate) fn new(allowed: Duration, nodes: usize) -> Self {
         let limit = allowed.saturating_add(BEYOND_LATENESS);
+        let lead = allowed.saturating_add(LEAD_BEYOND_LATENESS);
         Self {
             lateness: Lateness::new(allowed, nodes),
-            vote: ClockVote::new(limit, nodes),
+            vote: ClockVote::new(limit, lead, nodes),
             watch: ClockWatch::new(nodes),
             moves: ClockMoves::new(nodes, limit),
             limit,
+            lead,
             distrusted: vec![false; nodes],
         }
     }
@@ -136,7 +141,7 @@ impl Timekeeping {
         if !self.distrusted.contains(&true) {
             return Vec::new();
         }
-        self.vote = ClockVote::new(self.limit, self.distrusted.len());
+        self.vote = ClockVote::new(self.limit, self.lead, self.distrusted.len());
         self.changes()
     }
 }
