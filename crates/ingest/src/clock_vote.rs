@@ -481,7 +481,11 @@ mod tests {
     fn clock_that_is_steadily_ahead_within_the_limit_is_wrong_if_most_others_agree_closely() {
         let mut rig = Rig::new(4);
         let of = |off_s: i64| [(2, off_s), (0, 0), (1, 0), (3, 0)];
-        assert_eq!(rig.run(4.0, &of(3)), [AGREES; 4], "not steady for long enough");
+        assert_eq!(
+            rig.run(4.0, &of(3)),
+            [AGREES; 4],
+            "not steady for long enough"
+        );
         let ahead = [AGREES, AGREES, wrong(3), AGREES];
         assert_eq!(rig.run(4.0, &of(3)), ahead);
         let tally = rig.vote.tally();
