@@ -430,7 +430,7 @@ async fn forged_estimates_of_half_the_stiffness_raise_no_alert_in_an_isolated_ru
 }
 
 /// Returns 5 s of estimates that follow a block, with half the stiffness and high precision.
-fn half(last: &EstimateBlock) -> EstimateBlock {
+pub fn half(last: &EstimateBlock) -> EstimateBlock {
     let mut forged = last.clone();
     forged.header.sequence = last.end();
     let mut estimate = last.estimates.last().unwrap().clone();

@@ -7,13 +7,14 @@
 use super::houses::{Houses, OTHERS, STEADY, check_recording};
 use super::measured::{Heard, Series, resident_mb};
 use super::node::Manner;
+use crate::neighbours::half;
 use crate::support::{DEADLINE, Process, SmallDisk, put_raw, spandrel, storeys, within};
 use rand::seq::SliceRandom as _;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use spandrel_bus::{
-    Block as _, Bus, BusConfig, Delivery, Event, FrameBlock, Message as _, Mode, Name, SampleBlock,
-    Service, Start, Stream, StreamSettings,
+    Block as _, Bus, BusConfig, Delivery, EstimateBlock, Event, FrameBlock, Message as _, Mode,
+    Name, SampleBlock, Service, Start, Stream, StreamSettings,
 };
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -44,6 +45,8 @@ const MOST_RECOVERY_S: f64 = 30.0;
 enum Trouble {
     /// The clock of one node is an hour ahead.
     NodeAhead,
+    /// The clock of one node is some seconds ahead.
+    NodeSecondsAhead,
     /// The clocks of all nodes are 400 days ahead.
     AllNodesAhead,
     /// A second program sends samples in the name of a node, in a higher epoch.
@@ -58,7 +61,8 @@ enum Trouble {
     SlowConnections,
     /// Requests with a wrong token.
     WrongTokens,
-    /// Frames, estimates and alerts in the name of the services.
+    /// Frames, estimates and alerts in the name of the services: unreadable ones, estimates that
+    /// continue the real ones with half the stiffness, and estimates of an impossible term.
     ForgedResults,
     /// Queries that nobody can answer.
     MalformedQueries,
@@ -70,16 +74,16 @@ enum Trouble {
     FullDisk,
     /// The file of the history is overwritten.
     CorruptHistory,
-    /// A record without end.
-    EndlessRecord,
-    /// A structure file that nobody writes.
-    Fifo,
-    /// A check of 60 storeys.
+    /// A command reads a file without end, a pipe that nobody writes, or one that unpacks to more
+    /// than is allowed.
+    BadFile,
+    /// A check of 60 storeys, or one of 1,000, which is refused.
     LargeCheck,
 }
 
 const TROUBLES: [Trouble; 17] = [
     Trouble::NodeAhead,
+    Trouble::NodeSecondsAhead,
     Trouble::AllNodesAhead,
     Trouble::SecondProgram,
     Trouble::NodeGone,
@@ -93,8 +97,7 @@ const TROUBLES: [Trouble; 17] = [
     Trouble::StateFolderAway,
     Trouble::FullDisk,
     Trouble::CorruptHistory,
-    Trouble::EndlessRecord,
-    Trouble::Fifo,
+    Trouble::BadFile,
     Trouble::LargeCheck,
 ];
 
@@ -181,6 +184,11 @@ impl Besieged {
                 sleep(hold).await;
                 self.replace(STEADY_HOUSE, &[other], Manner::Honest);
             }
+            Trouble::NodeSecondsAhead => {
+                self.replace(STEADY_HOUSE, &[other], Manner::SecondsAhead);
+                sleep(hold).await;
+                self.replace(STEADY_HOUSE, &[other], Manner::Honest);
+            }
             Trouble::AllNodesAhead => {
                 let all = [STEADY, OTHERS[0], OTHERS[1]];
                 self.replace(OTHER_HOUSE, &all, Manner::YearAhead);
@@ -226,6 +234,7 @@ impl Besieged {
                         put_raw(&self.bus, key, "application/json", b"{}".to_vec()).await;
                     }
                 }
+                self.forge_estimates().await;
             }
             Trouble::MalformedQueries => {
                 let keys = self.houses.sites[STEADY_HOUSE].keys();
@@ -265,25 +274,13 @@ impl Besieged {
                 std::fs::write(file, vec![b'x'; 100_000]).unwrap();
                 sleep(hold).await;
             }
-            Trouble::EndlessRecord => {
-                let mut check = spandrel("check");
-                check.arg(self.houses.sites[STEADY_HOUSE].structure_file());
-                check.args(["--record", "/dev/zero"]);
-                Process::start(&mut check).wait().expect_code(2);
-            }
-            Trouble::Fifo => {
-                let fifo = self.disk.join("fifo.toml");
-                let made = Command::new("mkfifo").arg(&fifo).status().unwrap();
-                assert!(made.success());
-                let mut check = spandrel("check");
-                Process::start(check.arg(&fifo)).wait().expect_code(2);
-                std::fs::remove_file(&fifo).unwrap();
-            }
+            Trouble::BadFile => self.read_a_bad_file(),
             Trouble::LargeCheck => {
                 let file = self.disk.join("tall.toml");
-                std::fs::write(&file, storeys(60, "")).unwrap();
+                let (count, code) = [(60, 0), (1000, 2)][self.random.random_range(0..2)];
+                std::fs::write(&file, storeys(count, "")).unwrap();
                 let mut check = spandrel("check");
-                Process::start(check.arg(&file)).wait().expect_code(0);
+                Process::start(check.arg(&file)).wait().expect_code(code);
             }
         }
     }
@@ -296,6 +293,66 @@ impl Besieged {
         for node in nodes {
             self.houses.send(structure, node, manner);
         }
+    }
+
+    /// Publishes estimates that a reader could use: those that follow the last block, and those of
+    /// a term that no leader has.
+    async fn forge_estimates(&self) {
+        let keys = self.houses.sites[STEADY_HOUSE].keys();
+        let settings = StreamSettings::new(Start::Now);
+        let estimates = self
+            .bus
+            .follow(keys.estimates(), keys.estimates_buffer(), settings);
+        let estimates: Stream<EstimateBlock> = estimates.await.unwrap();
+        let last = within("estimates", async {
+            loop {
+                let delivery = estimates.deliveries().recv_async().await.unwrap();
+                if let Delivery::Block(block) = delivery {
+                    return block;
+                }
+            }
+        })
+        .await;
+        let following = half(&last);
+        let impossible = EstimateBlock {
+            term: u64::MAX,
+            ..following.clone()
+        };
+        for forged in [following, impossible] {
+            let payload = forged.encode().unwrap();
+            put_raw(
+                &self.bus,
+                &keys.estimates(),
+                &EstimateBlock::encoding(),
+                payload,
+            )
+            .await;
+        }
+    }
+
+    /// Lets a command read a file that it must refuse.
+    fn read_a_bad_file(&mut self) {
+        let structure = self.houses.sites[STEADY_HOUSE].structure_file();
+        let fifo = self.disk.join("fifo");
+        let made = Command::new("mkfifo").arg(&fifo).status().unwrap();
+        assert!(made.success());
+        let wide = self.disk.join("wide.csv");
+        let columns: Vec<String> = (0..100_000).map(|number| format!("c{number}")).collect();
+        std::fs::write(&wide, columns.join(",") + "\n").unwrap();
+        let endless = Path::new("/dev/zero");
+        let (command, option, file) = [
+            ("check", "--record", endless),
+            ("check", "--record", fifo.as_path()),
+            ("check", "--record", wide.as_path()),
+            ("check", "--baseline", endless),
+            ("check", "--baseline", fifo.as_path()),
+            ("estimate", "--record", wide.as_path()),
+        ][self.random.random_range(0..6)];
+        let mut read = spandrel(command);
+        read.arg(structure).arg(option).arg(file);
+        Process::start(&mut read).wait().expect_code(2);
+        std::fs::remove_file(&fifo).unwrap();
+        std::fs::remove_file(&wide).unwrap();
     }
 
     fn simulate(&mut self) {

@@ -177,7 +177,9 @@ impl Town {
                     Manner::Channels => "came back with a channel too many",
                     Manner::OldMessages => "came back with old messages",
                     Manner::Garbage => "came back with garbage",
-                    Manner::YearAhead | Manner::LaterEpoch => unreachable!("not among the lies"),
+                    Manner::SecondsAhead | Manner::YearAhead | Manner::LaterEpoch => {
+                        unreachable!("not among the lies")
+                    }
                 }
             }
         }

@@ -20,6 +20,8 @@ const STEP_NS: i64 = 10_000_000;
 /// Offset of a wrong clock (ns).
 const OFF_NS: i64 = 3600 * 1_000_000_000;
 const DAY_NS: i64 = 24 * OFF_NS;
+/// Offset of a clock that is wrong by seconds (ns).
+const SECONDS_NS: i64 = 7 * 1_000_000_000;
 
 /// Manner in which a node changes its true samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -29,6 +31,8 @@ pub enum Manner {
     Implausible,
     /// Clock one hour ahead.
     ClockAhead,
+    /// Clock seven seconds ahead, within the limit of the vote.
+    SecondsAhead,
     /// Clock one hour behind.
     ClockBehind,
     /// One channel too many.
@@ -223,6 +227,7 @@ async fn lie(
                 .for_each(|value| *value = absurd[random.random_range(0..absurd.len())]);
         }
         Manner::ClockAhead => block.header.time_ns += OFF_NS,
+        Manner::SecondsAhead => block.header.time_ns += SECONDS_NS,
         Manner::ClockBehind => block.header.time_ns -= OFF_NS,
         Manner::YearAhead => block.header.time_ns += 400 * DAY_NS,
         Manner::LaterEpoch => block.header.time_ns += 30 * DAY_NS,
