@@ -320,11 +320,11 @@ async fn rejected_messages_of_a_node_are_an_event_with_the_reason() {
     foreign.header.source = "floor-7".to_owned();
     faulty.put_raw(SAMPLES, foreign.encode().unwrap()).await;
     let mut wide = faulty.next_block();
-    wide.channels = 2;
-    wide.samples.extend_from_slice(&wide.samples.clone());
-    wide.header.source = "floor-2".to_owned();
+    wide.channels = 3;
+    wide.samples = wide.samples.repeat(3);
+    wide.header.source = "roof".to_owned();
     let sent = [
-        ("floor-2", SAMPLES, wide.encode().unwrap()),
+        ("roof", SAMPLES, wide.encode().unwrap()),
         ("ground", "application/json", b"{\"channels\": 1}".to_vec()),
     ];
     for (node, encoding, payload) in sent {
@@ -349,7 +349,7 @@ async fn rejected_messages_of_a_node_are_an_event_with_the_reason() {
         "another source publishes on the topic of this node"
     );
     assert_eq!(
-        why("floor-2"),
+        why("roof"),
         "its blocks have another number of channels than the structure file states"
     );
     assert!(why("ground").contains("missing field"), "{}", why("ground"));
