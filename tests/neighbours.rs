@@ -9,9 +9,10 @@ use spandrel_bus::{
     Event, EventKind, Message as _, Mode, Name, Service, Start, Status, StreamSettings,
 };
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::TcpStream;
 use std::process::Command;
 use std::time::Duration;
+use tokio::time::Instant;
 
 /// Starts all services with a page, and returns the address of the page.
 fn with_page(site: &Site, arguments: &[&str]) -> (Process, String) {
@@ -55,32 +56,115 @@ fn refused(metrics: &str, reason: &str) -> u64 {
         .unwrap_or_else(|| panic!("no count of {reason}\n{metrics}"))
 }
 
-/// Regression: 300 connections that sent half a head kept everybody out for 20 s.
+/// Regression: 300 connections that sent half a head kept everybody out for 20 s, and 300 that sent
+/// a head without its body for 8 s.
 #[test]
 fn slow_connections_keep_nobody_out() {
     const MANY: u64 = 300;
-    /// A quarter of the time after which the server closes a slow connection in any case.
-    const PATIENCE: Duration = Duration::from_secs(5);
+    const PATIENCE: Duration = Duration::from_secs(3);
     let site = Site::with(&two_storeys(""));
     let (services, address) = with_page(&site, &[]);
-    let address: SocketAddr = address.parse().unwrap();
-    let slow: Vec<TcpStream> = (0..MANY)
-        .map(|_| {
-            let mut stream = TcpStream::connect(address).unwrap();
-            // The server may have closed it to make room for a later one.
-            let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: ");
-            stream
-        })
-        .collect();
-    for _ in 0..3 {
-        let reply = get_within(PATIENCE, &address.to_string(), "/api/structures", "");
-        assert!(reply.starts_with("HTTP/1.1 200"), "{reply:?}");
+    let half_a_head = "GET / HTTP/1.1\r\nHost: ".to_owned();
+    let no_body = format!(
+        "POST /api/structures/{}/alerts/storey-1/acknowledge HTTP/1.1\r\nHost: {address}\r\n\
+         Content-Type: application/json\r\nContent-Length: 100\r\n\r\n{{",
+        site.keys().structure()
+    );
+    let mut closed = 0;
+    for sent in [half_a_head, no_body] {
+        let slow: Vec<TcpStream> = (0..MANY)
+            .map(|_| {
+                let mut stream = TcpStream::connect(&address).unwrap();
+                // The server may have closed it to make room for a later one.
+                let _ = stream.write_all(sent.as_bytes());
+                stream
+            })
+            .collect();
+        for _ in 0..3 {
+            let reply = get_within(PATIENCE, &address, "/api/structures", "");
+            assert!(
+                reply.starts_with("HTTP/1.1 200"),
+                "{reply:?} after {sent:?}"
+            );
+        }
+        let before = closed;
+        closed = refused(&get(&address, "/metrics", ""), "connection");
+        assert!(
+            closed >= before + MANY - 256,
+            "{closed} connections closed after {sent:?}, {before} before"
+        );
+        drop(slow);
     }
     services.wait_for_log("too many connections to the page");
-    let metrics = get(&address.to_string(), "/metrics", "");
-    let closed = refused(&metrics, "connection");
-    assert!(closed >= MANY - 256, "{closed} connections closed");
-    drop(slow);
+    services.stop().expect_code(0);
+}
+
+/// Opens a WebSocket, and reads nothing after the head of the reply. Returns `None` if all places
+/// are taken.
+fn open_socket(address: &str) -> Option<TcpStream> {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(DEADLINE)).unwrap();
+    let request = format!(
+        "GET /api/live HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\n\
+         Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+         Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    );
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut head = Vec::new();
+    while !head.ends_with(b"\r\n\r\n") {
+        let mut byte = [0];
+        stream.read_exact(&mut byte).unwrap();
+        head.extend(byte);
+    }
+    let head = String::from_utf8(head).unwrap();
+    let is_open = head.starts_with("HTTP/1.1 101");
+    assert!(is_open || head.starts_with("HTTP/1.1 503"), "{head}");
+    is_open.then_some(stream)
+}
+
+/// Regression: 64 WebSockets whose clients read nothing kept others out for 60 s.
+#[test]
+fn sockets_whose_clients_read_nothing_keep_nobody_out() {
+    const PLACES: usize = 64;
+    const WITHIN: Duration = Duration::from_secs(10);
+    /// A frame without content, and with a mask of zeros, as a client must send one.
+    const PONG: [u8; 6] = [0x8A, 0x80, 0, 0, 0, 0];
+    let site = Site::with(&two_storeys(""));
+    let (services, address) = with_page(&site, &[]);
+    let mut answering = open_socket(&address).expect("a place");
+    let answers = std::thread::spawn(move || {
+        let mut received = [0; 4096];
+        // The server sends something at least twice a second.
+        while matches!(answering.read(&mut received), Ok(1..)) {
+            if answering.write_all(&PONG).is_err() {
+                return;
+            }
+        }
+    });
+    let silent: Vec<TcpStream> = (1..PLACES)
+        .map(|_| open_socket(&address).expect("a place"))
+        .collect();
+    let taken = Instant::now();
+    assert!(open_socket(&address).is_none(), "more than {PLACES} places");
+    let newcomers: Vec<TcpStream> = (1..PLACES)
+        .map(|number| {
+            loop {
+                if let Some(socket) = open_socket(&address) {
+                    break socket;
+                }
+                let waited = taken.elapsed();
+                assert!(waited < WITHIN, "no place for {number} in {waited:?}");
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        })
+        .collect();
+    assert!(
+        open_socket(&address).is_none(),
+        "a client that answers has lost its place"
+    );
+    assert!(!answers.is_finished(), "a client that answers is closed");
+    services.wait_for_log("closed one whose client does not answer");
+    drop((silent, newcomers));
     services.stop().expect_code(0);
 }
 

@@ -588,6 +588,7 @@ struct Wanted {
 
 async fn listen(
     State(server): Shared,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
     wanted: Result<Query<Wanted>, QueryRejection>,
     session: Option<Extension<SessionEnd>>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
@@ -599,7 +600,7 @@ async fn listen(
     let upgrade = upgrade?
         .max_message_size(LARGEST_MESSAGE)
         .max_frame_size(LARGEST_MESSAGE);
-    let Some(place) = server.admit() else {
+    let Some(place) = server.admit(address.0) else {
         return Err(Mistake::new(
             StatusCode::SERVICE_UNAVAILABLE,
             "too many browsers are connected",
@@ -607,14 +608,11 @@ async fn listen(
         ));
     };
     Ok(upgrade.on_upgrade(async move |socket| {
-        live::serve(
-            socket,
-            server,
-            structure,
-            session.map(|Extension(session)| session),
-        )
-        .await;
-        drop(place);
+        let session = session.map(|Extension(session)| session);
+        tokio::select! {
+            () = live::serve(socket, server, structure, session, &place) => {}
+            () = place.must_leave() => {} // the audit log has the reason
+        }
     }))
 }
 

@@ -93,7 +93,7 @@ impl Door {
 }
 
 async fn take(listener: TcpListener, acceptor: Option<TlsAcceptor>, out: mpsc::Sender<Guest>) {
-    let places = Places::default();
+    let places = Places::of_connections();
     let mut handshakes = JoinSet::new();
     loop {
         while handshakes.try_join_next().is_some() {}

@@ -2,26 +2,32 @@
 //!
 //! The server queues nothing for a client. Each client has a position in every series it reads. At
 //! every tick it receives the points after that position. A slow client receives fewer, combined
-//! points. A client that accepts no message for [`SEND_WITHIN`] is disconnected.
+//! points. A client that accepts no message for [`SEND_WITHIN`] is disconnected. The server sends
+//! pings. A client that does not answer them must make room if there are too many clients.
 
 use crate::gate::SessionEnd;
 use crate::history::columns;
+use crate::places::Place;
 use crate::server::{Server, now_s};
 use crate::store::Store;
 use crate::topic::Kind;
 use crate::view::Standing;
+use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::MissedTickBehavior;
+use tokio::time::{Instant, MissedTickBehavior};
 
 /// Interval between messages with points, short enough for smooth motion at any display rate.
 const TICK: Duration = Duration::from_millis(100);
 /// Number of ticks between messages with the current state.
 const TICKS_PER_STANDING: u32 = 5;
+/// Number of ticks between pings, a third of the time within which a client must answer to keep its
+/// place.
+const TICKS_PER_PING: u32 = 20;
 /// Maximum number of new points of a series in one message. More points are combined.
 const MOST_POINTS: usize = 200;
 /// Time limit for sending a message, after which the client is disconnected.
@@ -33,6 +39,7 @@ pub(crate) async fn serve(
     server: Arc<Server>,
     structure: Option<String>,
     session: Option<SessionEnd>,
+    place: &Place,
 ) {
     let mut stopped = server.stopped();
     let ended = async move { stopped.wait_for(|stopped| *stopped).await.map(|_| ()) };
@@ -66,10 +73,11 @@ pub(crate) async fn serve(
             incoming = socket.recv() => match incoming {
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
                 Some(Ok(Message::Text(text))) => client.ask(&text),
+                Some(Ok(Message::Pong(_))) => place.note_answer(Instant::now()),
                 Some(Ok(_)) => {} // pings, and messages without a meaning
             },
-            _ = tick.tick() => for text in client.messages(&server) {
-                let sent = tokio::time::timeout(SEND_WITHIN, socket.send(Message::text(text))).await;
+            _ = tick.tick() => for message in client.messages(&server) {
+                let sent = tokio::time::timeout(SEND_WITHIN, socket.send(message)).await;
                 if !matches!(sent, Ok(Ok(()))) {
                     return;
                 }
@@ -104,14 +112,13 @@ impl Client {
     }
 
     /// Returns the messages of this tick.
-    fn messages(&mut self, server: &Server) -> Vec<String> {
+    fn messages(&mut self, server: &Server) -> Vec<Message> {
         let mut messages = Vec::new();
         let is_first = self.ticks == 0;
         if self.ticks.is_multiple_of(TICKS_PER_STANDING) {
-            messages.push(
-                json!({"type": "overview", "now_s": now_s(), "structures": server.overviews()})
-                    .to_string(),
-            );
+            let overview =
+                json!({"type": "overview", "now_s": now_s(), "structures": server.overviews()});
+            messages.push(Message::text(overview.to_string()));
         }
         if let Some(structure) = &self.structure
             && let Some(store) = server.store(structure)
@@ -119,7 +126,7 @@ impl Client {
             if self.ticks.is_multiple_of(TICKS_PER_STANDING) {
                 let standing = standing(&store);
                 if standing != self.last_standing {
-                    messages.push(standing.clone());
+                    messages.push(Message::text(standing.clone()));
                     self.last_standing = standing;
                 }
             }
@@ -127,8 +134,11 @@ impl Client {
             let news = store.news(&mut self.read, MOST_POINTS, wants);
             // The client fetches earlier points from the history interface.
             if !is_first && !news.is_empty() {
-                messages.push(points(news).to_string());
+                messages.push(Message::text(points(news).to_string()));
             }
+        }
+        if self.ticks.is_multiple_of(TICKS_PER_PING) {
+            messages.push(Message::Ping(Bytes::new()));
         }
         self.ticks = self.ticks.wrapping_add(1);
         messages

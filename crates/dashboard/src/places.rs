@@ -2,7 +2,8 @@
 //!
 //! If the limit is reached, a new connection replaces the slowest connection of the address with
 //! the most connections. It is rejected only if no connection is slow. Connections that send
-//! nothing can therefore not keep others out.
+//! nothing, or only a part of a request, can therefore not keep others out. WebSockets have a
+//! separate limit with the same rule, and are slow if they do not answer.
 
 use crate::gate::network_of;
 use spandrel_service::{Audit, Refused};
@@ -19,16 +20,45 @@ const MOST_CONNECTIONS: usize = 256;
 /// Maximum number of connections from one address (for IPv6, from one /64 network). The loopback
 /// interface has no such limit, because a local proxy serves many clients.
 const MOST_OF_ONE_ADDRESS: usize = 32;
-/// Time after which a connection that is still sending or processing its request is slow. A
-/// connection between requests is always slow, because its client loses nothing.
+/// Time after which a connection whose request is being processed is slow. A connection that has no
+/// complete request is always slow, because its client can repeat the request.
 const SLOW_AFTER: Duration = Duration::from_secs(10);
+/// Maximum number of concurrent WebSockets, from one address or many.
+const MOST_SOCKETS: usize = 64;
+/// Time after the last answer of a client to a ping after which its WebSocket is slow.
+const SILENT_AFTER: Duration = Duration::from_secs(6);
+
+/// Limits on one kind of connection.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    most: usize,
+    most_of_one_address: usize,
+    slow_after: Duration,
+    /// Reason for closing a connection that must make room, for the audit log.
+    why: &'static str,
+}
+
+const CONNECTIONS: Limits = Limits {
+    most: MOST_CONNECTIONS,
+    most_of_one_address: MOST_OF_ONE_ADDRESS,
+    slow_after: SLOW_AFTER,
+    why: "too many connections to the page; closed the slowest one",
+};
+
+const SOCKETS: Limits = Limits {
+    most: MOST_SOCKETS,
+    most_of_one_address: MOST_SOCKETS,
+    slow_after: SILENT_AFTER,
+    why: "too many WebSockets; closed one whose client does not answer",
+};
 
 /// A shared list of open connections. Clones share the list.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Places(Arc<Mutex<Taken>>);
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Taken {
+    limits: Limits,
     /// Connections by number. A later connection has a higher number.
     connections: BTreeMap<u64, Connection>,
     next: u64,
@@ -47,11 +77,11 @@ struct Connection {
 /// Progress of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    /// The client has not yet completed its handshake, or the head of its next request. Or it
-    /// receives a reply.
+    /// The client has not yet completed its handshake, or its next request. Or it receives a reply.
     Waiting,
-    /// The head of a request has arrived, and the reply is not yet ready.
-    Request,
+    /// A request has arrived with its body, and the reply is not yet ready. Or the client of a
+    /// WebSocket has answered.
+    Active,
 }
 
 /// A place for one connection. It becomes free when dropped.
@@ -64,6 +94,24 @@ pub(crate) struct Place {
 }
 
 impl Places {
+    /// Returns the places of connections.
+    pub(crate) fn of_connections() -> Self {
+        Self::new(CONNECTIONS)
+    }
+
+    /// Returns the places of WebSockets.
+    pub(crate) fn of_sockets() -> Self {
+        Self::new(SOCKETS)
+    }
+
+    fn new(limits: Limits) -> Self {
+        Self(Arc::new(Mutex::new(Taken {
+            limits,
+            connections: BTreeMap::new(),
+            next: 0,
+        })))
+    }
+
     /// Reserves a place for a connection from an address.
     ///
     /// If all places are taken, the slowest connection of the address with most connections must
@@ -87,9 +135,9 @@ impl Places {
             _room: sender,
         };
         taken.connections.insert(number, connection);
+        let why = taken.limits.why;
         drop(taken);
         if let Some(closed) = closed {
-            let why = "too many connections to the page; closed the slowest one";
             Audit::of_process().refuse(Refused::Connection, &closed.address.to_string(), why);
         }
         Some(Place {
@@ -115,10 +163,10 @@ enum Full {
 impl Taken {
     fn is_full_for(&self, address: IpAddr) -> Option<Full> {
         let of_address = || self.connections.values().filter(|c| c.address == address);
-        if !address.is_loopback() && of_address().count() >= MOST_OF_ONE_ADDRESS {
+        if !address.is_loopback() && of_address().count() >= self.limits.most_of_one_address {
             return Some(Full::OfAddress);
         }
-        (self.connections.len() >= MOST_CONNECTIONS).then_some(Full::OfAll)
+        (self.connections.len() >= self.limits.most).then_some(Full::OfAll)
     }
 
     /// Returns the slowest connection of the address with most connections, or of the next address
@@ -135,29 +183,36 @@ impl Taken {
         busiest_first.find_map(|(_, ip)| self.slowest_of(*ip, now))
     }
 
-    /// Returns the connection of an address that has waited longest. A request in progress comes
-    /// last, and only once it is slow.
+    /// Returns the connection of an address that has waited longest. An active one comes last, and
+    /// only once it is slow.
     fn slowest_of(&self, address: IpAddr, now: Instant) -> Option<u64> {
         let is_slow = |connection: &Connection| match connection.stage {
             Stage::Waiting => true,
-            Stage::Request => now.saturating_duration_since(connection.since) >= SLOW_AFTER,
+            Stage::Active => {
+                now.saturating_duration_since(connection.since) >= self.limits.slow_after
+            }
         };
         let slow = self
             .connections
             .iter()
             .filter(|(_, connection)| connection.address == address && is_slow(connection));
         let slowest = slow.min_by_key(|(number, connection)| {
-            let is_request = connection.stage == Stage::Request;
-            (is_request, connection.since, **number)
+            let is_active = connection.stage == Stage::Active;
+            (is_active, connection.since, **number)
         });
         slowest.map(|(number, _)| *number)
     }
 }
 
 impl Place {
-    /// Notes that the head of a request has arrived.
+    /// Notes that a request has arrived with its body.
     pub(crate) fn begin_request(&self, now: Instant) {
-        self.enter(Stage::Request, now);
+        self.enter(Stage::Active, now);
+    }
+
+    /// Notes that the client of a WebSocket has answered.
+    pub(crate) fn note_answer(&self, now: Instant) {
+        self.enter(Stage::Active, now);
     }
 
     /// Notes that the reply is ready.
@@ -210,7 +265,7 @@ mod tests {
 
     #[test]
     fn connections_of_one_address_are_limited_and_other_addresses_are_admitted() {
-        let (places, now) = (Places::default(), Instant::now());
+        let (places, now) = (Places::of_connections(), Instant::now());
         let mut held = busy(&places, "10.0.0.7", MOST_OF_ONE_ADDRESS, now);
         assert!(places.take(address("10.0.0.7"), now).is_none());
         assert!(
@@ -229,7 +284,7 @@ mod tests {
 
     #[test]
     fn addresses_of_one_ipv6_network_share_one_limit() {
-        let (places, now) = (Places::default(), Instant::now());
+        let (places, now) = (Places::of_connections(), Instant::now());
         let held: Vec<Place> = (0..MOST_OF_ONE_ADDRESS)
             .flat_map(|host| busy(&places, &format!("2001:db8::{host:x}"), 1, now))
             .collect();
@@ -240,7 +295,7 @@ mod tests {
 
     #[test]
     fn total_number_of_connections_is_limited() {
-        let (places, now) = (Places::default(), Instant::now());
+        let (places, now) = (Places::of_connections(), Instant::now());
         let here = address("127.0.0.1");
         let held = busy(&places, "127.0.0.1", MOST_CONNECTIONS, now);
         assert!(
@@ -253,7 +308,7 @@ mod tests {
     /// Regression: 300 connections that sent nothing kept everybody out for up to 25 s.
     #[test]
     fn the_slowest_connection_of_the_busiest_address_makes_room() {
-        let (places, start) = (Places::default(), Instant::now());
+        let (places, start) = (Places::of_connections(), Instant::now());
         let at = |seconds| start + Duration::from_secs(seconds);
         let others: Vec<Place> = (1..=10)
             .map(|host| {
@@ -278,7 +333,7 @@ mod tests {
 
     #[test]
     fn a_request_that_takes_too_long_makes_room_last() {
-        let (places, start) = (Places::default(), Instant::now());
+        let (places, start) = (Places::of_connections(), Instant::now());
         let at = |seconds| start + Duration::from_secs(seconds);
         let busy = busy(&places, "10.0.0.7", MOST_OF_ONE_ADDRESS, at(0));
         busy[5].end_request(at(9));
@@ -288,6 +343,30 @@ mod tests {
         second.begin_request(at(9));
         assert!(places.take(address("10.0.0.7"), at(9)).is_none());
         assert!(places.take(address("10.0.0.7"), at(10)).is_some());
-        assert!(has_left(&busy[0]), "it has sent a request for 10 s");
+        assert!(has_left(&busy[0]), "its request has taken 10 s");
+    }
+
+    /// Regression: 64 WebSockets whose clients read nothing kept others out for 60 s.
+    #[test]
+    fn a_socket_makes_room_once_its_client_does_not_answer() {
+        let (places, start) = (Places::of_sockets(), Instant::now());
+        let at = |seconds| start + Duration::from_secs(seconds);
+        let sockets = busy(&places, "127.0.0.1", MOST_SOCKETS, at(0));
+        let other = address("10.0.0.7");
+        for second in (2..=20).step_by(2) {
+            sockets[1..]
+                .iter()
+                .for_each(|one| one.note_answer(at(second)));
+            if second < 6 {
+                assert!(places.take(other, at(second)).is_none(), "{second} s");
+            }
+        }
+        let new = places.take(other, at(21)).unwrap();
+        new.note_answer(at(21));
+        assert!(has_left(&sockets[0]) && !sockets.iter().skip(1).any(has_left));
+        assert!(
+            places.take(other, at(21)).is_none(),
+            "all others have answered"
+        );
     }
 }

@@ -3,6 +3,7 @@
 use crate::gate::Gate;
 use crate::history::Earlier;
 use crate::overview::{Overview, overview};
+use crate::places::{Place, Places};
 use crate::store::Store;
 use crate::stretch::{Stretch, Unreadable};
 use spandrel_bus::{
@@ -11,15 +12,12 @@ use spandrel_bus::{
 };
 use spandrel_listener::Input;
 use spandrel_service::Clock;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 use tracing::warn;
-
-/// Maximum number of concurrent WebSocket clients.
-const MOST_CLIENTS: usize = 64;
 
 /// Time limit for a reply of the service judge, which may be learning a reference.
 const JUDGE_WITHIN: Duration = Duration::from_secs(10);
@@ -47,22 +45,12 @@ const CHANGES_WAITING: usize = 64;
 pub(crate) struct Server {
     bus: Bus,
     structures: Vec<(Keys, Mutex<Store>)>,
-    clients: AtomicUsize,
+    sockets: Places,
     exports: Arc<Semaphore>,
     stopped: watch::Sender<bool>,
     gate: Gate,
     cannot_acknowledge: Option<String>,
     started: Instant,
-}
-
-/// A place for one WebSocket client. It becomes free when dropped.
-#[derive(Debug)]
-pub(crate) struct ClientPlace(Arc<Server>);
-
-impl Drop for ClientPlace {
-    fn drop(&mut self) {
-        self.0.clients.fetch_sub(1, Ordering::Relaxed);
-    }
 }
 
 impl Server {
@@ -81,13 +69,12 @@ impl Server {
             reason = "sessions of browsers end by the monotonic clock"
         )]
         let started = Instant::now();
-        let (clients, stopped) = (AtomicUsize::new(0), watch::Sender::new(false));
         Self {
             bus,
             structures,
-            clients,
+            sockets: Places::of_sockets(),
             exports: Arc::new(Semaphore::new(MOST_EXPORTS)),
-            stopped,
+            stopped: watch::Sender::new(false),
             gate,
             cannot_acknowledge,
             started,
@@ -298,14 +285,13 @@ impl Server {
         self.exports.clone().try_acquire_owned().ok()
     }
 
-    /// Reserves a place for one more client. Returns `None` if all places are taken.
-    pub(crate) fn admit(self: &Arc<Self>) -> Option<ClientPlace> {
-        let admitted = self
-            .clients
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |clients| {
-                (clients < MOST_CLIENTS).then_some(clients + 1)
-            });
-        admitted.is_ok().then(|| ClientPlace(self.clone()))
+    /// Reserves a place for one more WebSocket. Returns `None` if all places are taken by clients
+    /// that answer.
+    pub(crate) fn admit(&self, address: IpAddr) -> Option<Place> {
+        let now = tokio::time::Instant::now();
+        let place = self.sockets.take(address, now)?;
+        place.note_answer(now);
+        Some(place)
     }
 
     /// Requests the end of all connections.

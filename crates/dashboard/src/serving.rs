@@ -1,6 +1,7 @@
 //! Serves the requests of all connections.
 
 use crate::door::{Door, Guest};
+use crate::places::Place;
 use crate::request_lines::Checked;
 use axum::Router;
 use axum::body::Body;
@@ -8,7 +9,7 @@ use axum::extract::ConnectInfo;
 use axum::http::header::CONNECTION;
 use axum::http::{HeaderValue, StatusCode};
 use hyper::Request;
-use hyper::body::Incoming;
+use hyper::body::{Body as _, Bytes, Frame, Incoming, SizeHint};
 use hyper::server::conn::http1::Builder;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
@@ -16,8 +17,9 @@ use hyper_util::service::TowerToHyperService;
 use spandrel_service::{Audit, Refused};
 use std::convert::Infallible;
 use std::net::IpAddr;
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
+use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -67,9 +69,8 @@ async fn answer(
     let place = Arc::new(place);
     let must_leave = place.must_leave();
     let service = service_fn(move |request: Request<Incoming>| {
-        let mut request = request.map(Body::new);
+        let mut request = request.map(|body| Body::new(Received::new(body, place.clone())));
         request.extensions_mut().insert(client);
-        place.begin_request(Instant::now());
         let (reply, place, found) = (router.call(request), place.clone(), found.clone());
         async move {
             let mut reply = reply.await?;
@@ -108,5 +109,45 @@ async fn answer(
     }
     if let Err(error) = ended {
         debug!(%address, %error, "connection to the page ended");
+    }
+}
+
+/// The body of a request. The request begins once its body has arrived, so that a client that does
+/// not send it must make room for others.
+struct Received {
+    body: Incoming,
+    place: Arc<Place>,
+}
+
+impl Received {
+    fn new(body: Incoming, place: Arc<Place>) -> Self {
+        if body.is_end_stream() {
+            place.begin_request(Instant::now());
+        }
+        Self { body, place }
+    }
+}
+
+impl hyper::body::Body for Received {
+    type Data = Bytes;
+    type Error = hyper::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, hyper::Error>>> {
+        let frame = Pin::new(&mut self.body).poll_frame(context);
+        if matches!(frame, Poll::Ready(None)) {
+            self.place.begin_request(Instant::now());
+        }
+        frame
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
     }
 }

@@ -475,12 +475,15 @@ async fn socket_closes_when_the_session_of_its_browser_ends() {
     site.end().await;
 }
 
+/// Returns the next message that is not a ping.
 async fn next(socket: &mut WebSocketStream<MaybeTlsStream<TcpStream>>) -> Message {
-    tokio::time::timeout(DEADLINE, socket.next())
-        .await
-        .expect("a message in time")
-        .unwrap()
-        .unwrap()
+    loop {
+        let message = tokio::time::timeout(DEADLINE, socket.next());
+        let message = message.await.expect("a message in time").unwrap().unwrap();
+        if !message.is_ping() {
+            return message;
+        }
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -549,12 +549,13 @@ async fn socket_sends_the_present_state_and_then_each_new_point() {
     let address = format!("ws://{}/api/live?structure=demo", site.address);
     let (mut socket, _) = tokio_tungstenite::connect_async(address).await.unwrap();
     let mut next = async || -> Value {
-        let message = tokio::time::timeout(DEADLINE, socket.next())
-            .await
-            .unwrap()
-            .unwrap()
-            .unwrap();
-        serde_json::from_str(message.to_text().unwrap()).unwrap()
+        loop {
+            let message = tokio::time::timeout(DEADLINE, socket.next());
+            let message = message.await.unwrap().unwrap().unwrap();
+            if !message.is_ping() {
+                return serde_json::from_str(message.to_text().unwrap()).unwrap();
+            }
+        }
     };
     let overview = next().await;
     assert_eq!(
