@@ -8,10 +8,13 @@ use spandrel_bus::{
     AlertMessage, AlertState, Block as _, Bus, BusConfig, Delivery, EstimateBlock, EstimateFlags,
     Event, EventKind, Message as _, Mode, Name, Service, Start, Status, StreamSettings,
 };
+use std::collections::BTreeSet;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Command;
 use std::time::Duration;
+use tokio::io::AsyncReadExt as _;
+use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 /// Starts all services with a page, and returns the address of the page.
@@ -266,6 +269,51 @@ async fn malformed_queries_are_counted_and_hardly_logged() {
         "{lines} lines about {MANY} queries"
     );
     bus.close().await.unwrap();
+    services.stop().expect_code(0);
+}
+
+/// Regression: 100 connections that sent nothing took all places for opening a session, so that most
+/// programs could not connect to the bus.
+#[tokio::test(flavor = "multi_thread")]
+async fn silent_connections_to_the_bus_keep_no_client_out() {
+    const MANY: usize = 300;
+    const CLIENTS: usize = 5;
+    let site = Site::with(&two_storeys(""));
+    let services = Process::start(site.listening("run").args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let address = site.endpoint().trim_start_matches("tcp/").to_owned();
+    let (closed, mut all_closed) = tokio::sync::mpsc::unbounded_channel();
+    let mut silent = JoinSet::new();
+    for number in 0..MANY {
+        let mut stream = tokio::net::TcpStream::connect(&address).await.unwrap();
+        let (address, closed) = (address.clone(), closed.clone());
+        silent.spawn(async move {
+            loop {
+                // Zenoh sends nothing first, so this ends with the connection.
+                let _ = stream.read(&mut [0]).await;
+                let _ = closed.send(number); // the test may have ended
+                match tokio::net::TcpStream::connect(&address).await {
+                    Ok(next) => stream = next,
+                    Err(_) => return,
+                }
+            }
+        });
+    }
+    // While the first connections are open, and again after each has been reopened.
+    let mut reopened = BTreeSet::new();
+    for round in ["first", "reopened"] {
+        for _ in 0..CLIENTS {
+            let bus = neighbour(&site).await;
+            bus.close().await.unwrap();
+        }
+        within(&format!("the end of all {round} connections"), async {
+            while reopened.len() < MANY {
+                reopened.insert(all_closed.recv().await.unwrap());
+            }
+        })
+        .await;
+    }
+    silent.shutdown().await;
     services.stop().expect_code(0);
 }
 

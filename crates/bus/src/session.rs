@@ -30,6 +30,14 @@ pub const AROUND_THE_PAYLOAD: usize = 65_536;
 /// Valid leases, s. A shorter lease would end links that are merely busy.
 const LEASES_S: std::ops::RangeInclusive<f64> = 0.5..=3600.0;
 
+/// Maximum number of connections to this session that have not completed the handshake of Zenoh.
+/// With Zenoh's default, 100, as many silent connections keep all others out. Each one takes a file
+/// descriptor, and a process often has only 1,024 of them.
+const MOST_OPENING: usize = 512;
+
+/// Timeout of that handshake, ms. It takes two round trips. Zenoh's default is 10 s.
+const OPEN_WITHIN_MS: u64 = 5_000;
+
 /// Timeout for one endpoint during the diagnosis of a failure.
 const DIAGNOSIS: Duration = Duration::from_millis(500);
 
@@ -168,6 +176,8 @@ impl BusConfig {
                 "transport/link/rx/max_message_size",
                 (MAX_MESSAGE_BYTES + AROUND_THE_PAYLOAD).into(),
             )?;
+            set("transport/unicast/accept_pending", MOST_OPENING.into())?;
+            set("transport/unicast/accept_timeout", OPEN_WITHIN_MS.into())?;
             set("listen/endpoints", all_in_order(&self.effective_listen()))?;
         } else if !self.listen.is_empty() {
             set("listen/endpoints", all_in_order(&self.listen))?;
