@@ -4,7 +4,7 @@
 //! The test compares its results with the table of docs/access.md. To rewrite the table, run
 //! `UPDATE_DOCS=1 cargo test --workspace --test program access::`.
 
-use crate::support::{DEADLINE, Process, Secured, five_storeys, within};
+use crate::support::{DEADLINE, Process, Secured, five_storeys, spandrel, within};
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair, date_time_ymd};
 use spandrel_access::{Party, Right, is_of_node, rights};
 use spandrel_bus::{AlertMessage, AlertState, Bus, BusError, KeyFamily, Name, Status, TlsConfig};
@@ -585,6 +585,47 @@ async fn the_router_logs_refused_certificates_and_messages() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_metrics_count_refused_certificates() {
+    const HANDSHAKES: u64 = 3;
+    let site = Secured::new(&five_storeys(), &[]);
+    site.tool(&["issue"], &["server", "main", "--host", "127.0.0.1"]);
+    let mut run = spandrel("run");
+    run.arg(five_storeys()).arg("-v");
+    run.args(["--listen", site.endpoint(), "--http", "127.0.0.1:0"]);
+    run.arg("--certificate")
+        .arg(site.certificate("server.main"));
+    let services = Process::start(&mut run);
+    services.wait_for_log("ready structures=1");
+    let page = address_of(&services);
+    assert_eq!(refused_handshakes(&page), 0);
+    let authority = site.folder().join("authority.pem");
+    let foreign = of_another_authority(&site);
+    for _ in 0..HANDSHAKES {
+        assert!(!connects(site.endpoint(), Some(&foreign), &authority).await);
+    }
+    services.wait_for_log("refused what=\"bus-handshake\" who=\"unknown address\"");
+    within("the count of all handshakes", async {
+        while refused_handshakes(&page) < HANDSHAKES {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    })
+    .await;
+    services.stop().expect_code(0);
+}
+
+/// Reads the count of failed handshakes from the metrics of a page.
+fn refused_handshakes(address: &str) -> u64 {
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    let request = "GET /metrics HTTP/1.1\r\nConnection: close\r\n";
+    write!(stream, "{request}Host: {address}\r\n\r\n").unwrap();
+    let mut metrics = String::new();
+    stream.read_to_string(&mut metrics).unwrap();
+    let start = "spandrel_refused_total{reason=\"bus-handshake\"} ";
+    let count = metrics.lines().find_map(|line| line.strip_prefix(start));
+    count.expect("a count").parse().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_error_explains_a_rejected_session() {
     let site = Secured::new(&five_storeys(), &["viewer.ada"]);
     let other = Secured::new(&five_storeys(), &["viewer.ada"]);
@@ -776,19 +817,22 @@ async fn an_alert_arrives_over_the_router() {
     operator.close().await.unwrap();
 }
 
-/// Acknowledges the alert of storey 2 on a page. Returns the status and the body of the reply.
-fn acknowledge_on(page: &Process) -> (u16, String) {
+/// Waits for the address of a page.
+fn address_of(page: &Process) -> String {
     page.wait_for_output("the address of the page", |said| {
         said.contains("page: http://") && said.contains('\n')
     });
     let output = page.output();
-    let address = output
-        .lines()
-        .find_map(|line| line.strip_prefix("page: http://"))
-        .unwrap()
-        .trim_end_matches('/');
+    let mut lines = output.lines();
+    let address = lines.find_map(|line| line.strip_prefix("page: http://"));
+    address.unwrap().trim_end_matches('/').to_owned()
+}
+
+/// Acknowledges the alert of storey 2 on a page. Returns the status and the body of the reply.
+fn acknowledge_on(page: &Process) -> (u16, String) {
+    let address = address_of(page);
     let body = r#"{"who": "Grace"}"#;
-    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    let mut stream = std::net::TcpStream::connect(&address).unwrap();
     let head = format!(
         "POST /api/structures/demo/alerts/storey-2/acknowledge HTTP/1.1\r\nHost: {address}\r\n\
          Connection: close"
@@ -887,7 +931,7 @@ fn site_commands_list_the_written_files_and_do_not_overwrite_them() {
     let folder = site.folder();
     let structure = five_storeys();
     let run = |arguments: &[&str]| {
-        let mut command = crate::support::spandrel("site");
+        let mut command = spandrel("site");
         Process::start(command.arg(arguments[0]).arg(&folder).args(&arguments[1..])).wait()
     };
     let issued = run(&["issue", "worker", "east", "--days", "30"])
@@ -938,7 +982,7 @@ fn a_router_file_that_admits_strangers_is_rejected() {
     let file = folder.path().join("router.json5");
     let run = |text: &str| {
         std::fs::write(&file, text).unwrap();
-        Process::start(crate::support::spandrel("router").arg(&file)).wait()
+        Process::start(spandrel("router").arg(&file)).wait()
     };
     let quiet = "scouting: { multicast: { enabled: false } }";
     run(&format!("{{ {quiet} }}"))
@@ -969,8 +1013,7 @@ fn a_router_file_that_admits_strangers_is_rejected() {
     ))
     .expect_code(2)
     .expect_told(&["/nowhere/r.pem"]);
-    let nowhere =
-        Process::start(crate::support::spandrel("router").arg("/nowhere/router.json5")).wait();
+    let nowhere = Process::start(spandrel("router").arg("/nowhere/router.json5")).wait();
     nowhere
         .expect_code(2)
         .expect_told(&["/nowhere/router.json5"]);
@@ -979,13 +1022,9 @@ fn a_router_file_that_admits_strangers_is_rejected() {
 #[test]
 fn services_refuse_to_listen_beyond_this_machine_without_certificates() {
     let run = |arguments: &[&str]| {
-        Process::start(
-            crate::support::spandrel("ingest")
-                .arg(five_storeys())
-                .args(arguments),
-        )
-        .wait()
-        .expect_code(2)
+        Process::start(spandrel("ingest").arg(five_storeys()).args(arguments))
+            .wait()
+            .expect_code(2)
     };
     run(&["--listen", "tcp/0.0.0.0:7447"]).expect_told(&[
         "tcp/0.0.0.0:7447",
@@ -1023,14 +1062,10 @@ fn certificates_can_be_set_in_the_configuration() {
         site.endpoint()
     );
     std::fs::write(&file, text).unwrap();
-    let ingest = Process::start(
-        crate::support::spandrel("ingest")
-            .args(["-v", "--config"])
-            .arg(&file),
-    );
+    let ingest = Process::start(spandrel("ingest").args(["-v", "--config"]).arg(&file));
     ingest.wait_for_log("ready structures=1");
     ingest.stop().expect_code(0);
-    let elsewhere = crate::support::spandrel("ingest")
+    let elsewhere = spandrel("ingest")
         .args(["-v", "--config"])
         .arg(&file)
         .env("SPANDREL_BUS__TLS__CERTIFICATE", "/nowhere/worker.main.pem")
@@ -1074,7 +1109,7 @@ async fn messages_that_one_router_forbids_do_not_reach_another() {
         ],
     );
     let _router = site.router();
-    let other = Process::start(crate::support::spandrel("router").arg(&file).arg("-v"));
+    let other = Process::start(spandrel("router").arg(&file).arg("-v"));
     other.wait_for_log("ready");
 
     let worker = site.join("worker.main").await;

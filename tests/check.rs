@@ -48,6 +48,18 @@ fn examples_are_checked_with_exit_code_0_and_nothing_on_standard_error() {
     }
 }
 
+/// Regression: the description was printed as it is in the file, so a terminal obeyed it.
+#[test]
+fn terminal_escapes_in_a_description_are_printed_as_text() {
+    let described = "name = \"house\"\ndescription = \"tall\\u001b[2J\\u0007\"";
+    let file = two_storeys("").replacen("name = \"house\"", described, 1);
+    let site = Site::with(&file);
+    let output = check(&[site.structure_file().to_str().unwrap()]);
+    let page = text(&output.stdout);
+    assert!(page.starts_with("house: tall\\u{1b}[2J\\u{7}\n"), "{page}");
+    assert!(!page.contains(['\u{1b}', '\u{7}']), "{page:?}");
+}
+
 #[test]
 fn a_structure_without_parameters_reports_only_motion_and_levels() {
     for (name, adapted) in [

@@ -416,6 +416,19 @@ async fn browser_sends_its_token_once() {
     }
 }
 
+/// An attacker on the network can change a page without TLS, also one of the same host.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_page_over_tls_rejects_its_own_origin_without_tls() {
+    let site = Site::start(Scheme::Https).await;
+    let body = format!("{{\"token\":\"{}\"}}", site.files.viewer);
+    for (scheme, expected) in [("http", 403), ("https", 200)] {
+        let origin = format!("Origin: {scheme}://{}\r\n", site.address);
+        let entered = site.request("POST", "/api/session", &origin, &body).await;
+        assert_eq!(entered.status, expected, "{origin}{}", entered.body);
+    }
+    site.end().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn socket_closes_when_the_session_of_its_browser_ends() {
     let site = Site::start(Scheme::Http).await;
