@@ -410,6 +410,26 @@ pub fn configurations(table: &mut Table) {
         run.args(["house.toml", option, file]);
         table.add_ended(given, (BAD_INPUT, &parts(&[file, told])), &finish(&mut run));
     }
+    let xml = "[[feed.source]]\nname = \"shake\"\nkind = \"udp\"\naddress = \"127.0.0.1:0\"\n\
+               format = \"raspberry-shake\"\n[[feed.source.channel]]\nsource = \"ENE\"\n\
+               channel = \"roof\"\nstationxml = ";
+    for (given, key) in [
+        ("a baseline", "[baselines]\nhouse = "),
+        ("a StationXML file", xml),
+    ] {
+        for (kind, file) in [("pipe", "pipe.toml"), ("device", "/dev/zero")] {
+            let text = format!("{key}\"{file}\"\n");
+            std::fs::write(folder.path().join("spandrel.toml"), text).unwrap();
+            let mut run = command(folder.path(), "run");
+            run.args(["house.toml", "--config", "spandrel.toml"]);
+            run.args(["--listen", "tcp/127.0.0.1:0"]);
+            table.add_ended(
+                &format!("{given} that is a {kind}"),
+                (BAD_INPUT, &parts(&[file, "regular file"])),
+                &finish(&mut run),
+            );
+        }
+    }
     for (variable, value, told) in [
         (
             "SPANDREL_THREADS",
@@ -608,6 +628,37 @@ pub fn records(table: &mut Table) {
         let finished = finish(command(folder.path(), "info").arg(&name));
         let told: Vec<String> = std::iter::once(name).chain(parts(told)).collect();
         table.add_ended(given, (BAD_INPUT, &told), &finished);
+    }
+}
+
+pub fn baselines_and_annotations(table: &mut Table) {
+    table.section(
+        "Baselines and annotations (`spandrel estimate --baseline`, `spandrel judge --annotations`)",
+    );
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("house.toml"), two_storeys("")).unwrap();
+    let simulate = "house.toml --record sound.csv --duration 2";
+    finish(command(folder.path(), "simulate").args(simulate.split(' '))).expect_code(0);
+    make_pipe(&folder.path().join("pipe.json"));
+    let large = std::fs::File::create(folder.path().join("large.json")).unwrap();
+    large.set_len(65 << 20).unwrap();
+    let judged = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/judge");
+    for (given, file, told) in [
+        ("a pipe without a writer", "pipe.json", "regular file"),
+        ("a device without end", "/dev/zero", "regular file"),
+        ("a file of 65 MiB", "large.json", "67108864"),
+    ] {
+        let told = parts(&[file, told]);
+        let mut estimate = command(folder.path(), "estimate");
+        estimate.args(["house.toml", "--record", "sound.csv", "--baseline", file]);
+        let given_here = format!("as a baseline: {given}");
+        table.add_ended(&given_here, (BAD_INPUT, &told), &finish(&mut estimate));
+        let mut judge = command(folder.path(), "judge");
+        judge.arg(judged.join("footbridge.toml")).arg("--series");
+        judge.arg(judged.join("footbridge.csv"));
+        judge.args(["--annotations", file]);
+        let given_here = format!("as annotations: {given}");
+        table.add_ended(&given_here, (BAD_INPUT, &told), &finish(&mut judge));
     }
 }
 

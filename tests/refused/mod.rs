@@ -19,6 +19,7 @@ async fn every_bad_input_has_the_documented_effect() {
     files::configurations(&mut table);
     files::arguments(&mut table);
     files::records(&mut table);
+    files::baselines_and_annotations(&mut table);
     certificates::all(&mut table);
     kept::all(&mut table).await;
     messages::all(&mut table).await;

@@ -117,7 +117,7 @@ pub use questions::{Question, Questions};
 pub use range::{QueryRange, RangeError};
 pub use ring::{Answer, Forget, Keep, NotConsecutive, Ring};
 pub use session::{AROUND_THE_PAYLOAD, Bus, BusConfig, DEFAULT_ENDPOINT, Mode};
-pub use small_file::{check_regular_file, read_small_file, read_small_text};
+pub use small_file::{check_regular_file, read_small_file, read_small_text, read_text_up_to};
 pub use span::{SpanError, SpanQuery, TIMES, time_ns};
 pub use stream::{
     Check, POSITION_TIMEOUT, Reading, Stream, StreamCounts, StreamGroup, StreamSettings,

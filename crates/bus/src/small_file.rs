@@ -1,4 +1,4 @@
-//! Reads small files of settings and secrets.
+//! Reads files of limited size: settings, secrets, baselines and other files that a person names.
 //!
 //! Opening a named pipe waits for its writer, and a device has no end. A path with such a file must
 //! not stop a service, so only regular files of limited size are opened.
@@ -29,18 +29,7 @@ pub fn check_regular_file(path: &Path) -> io::Result<()> {
 /// # Errors
 /// The file cannot be read, is not a regular file, or is larger.
 pub fn read_small_file(path: &Path) -> io::Result<Vec<u8>> {
-    check_regular_file(path)?;
-    let mut bytes = Vec::new();
-    File::open(path)?
-        .take(MOST_BYTES + 1)
-        .read_to_end(&mut bytes)?;
-    match bytes.len() as u64 <= MOST_BYTES {
-        true => Ok(bytes),
-        false => Err(io::Error::new(
-            ErrorKind::FileTooLarge,
-            format!("has more than {MOST_BYTES} bytes, must have at most {MOST_BYTES}"),
-        )),
-    }
+    read_file_up_to(path, MOST_BYTES)
 }
 
 /// Reads a regular file of at most 1 MiB as UTF-8.
@@ -48,8 +37,29 @@ pub fn read_small_file(path: &Path) -> io::Result<Vec<u8>> {
 /// # Errors
 /// As for [`read_small_file`], or the content is not UTF-8.
 pub fn read_small_text(path: &Path) -> io::Result<String> {
-    String::from_utf8(read_small_file(path)?)
+    read_text_up_to(path, MOST_BYTES)
+}
+
+/// Reads a regular file of at most `most` bytes as UTF-8.
+///
+/// # Errors
+/// The file cannot be read, is not a regular file, is larger, or its content is not UTF-8.
+pub fn read_text_up_to(path: &Path, most: u64) -> io::Result<String> {
+    String::from_utf8(read_file_up_to(path, most)?)
         .map_err(|_| io::Error::new(ErrorKind::InvalidData, "is not UTF-8"))
+}
+
+fn read_file_up_to(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    check_regular_file(path)?;
+    let mut bytes = Vec::new();
+    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
+    match bytes.len() as u64 <= most {
+        true => Ok(bytes),
+        false => Err(io::Error::new(
+            ErrorKind::FileTooLarge,
+            format!("has more than {most} bytes, must have at most {most}"),
+        )),
+    }
 }
 
 #[cfg(test)]
@@ -77,6 +87,13 @@ mod tests {
             "has more than 1048576 bytes, must have at most 1048576"
         );
         assert_eq!(told("binary"), "is not UTF-8");
+        assert_eq!(read_text_up_to(&in_folder("small"), 6).unwrap(), "a text");
+        assert_eq!(
+            read_text_up_to(&in_folder("small"), 5)
+                .unwrap_err()
+                .to_string(),
+            "has more than 5 bytes, must have at most 5"
+        );
         for name in ["pipe", "/dev/zero", "."] {
             assert_eq!(
                 told(name),

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use roxmltree::{Document, Node};
-use spandrel_bus::check_regular_file;
+use spandrel_bus::read_text_up_to;
 use spandrel_record::TimeUnit;
 use spandrel_record::record_time::parse_time_ns;
 
@@ -60,15 +60,9 @@ impl Sensitivities {
 /// An error in a StationXML file.
 #[derive(Debug, thiserror::Error)]
 pub enum StationXmlError {
-    /// The file cannot be read.
-    #[error("cannot read the file: {0}")]
+    /// The file cannot be read, is not a regular file, or is too large.
+    #[error("cannot be read: {0}")]
     Read(std::io::Error),
-    /// The file is too large.
-    #[error("has {found} bytes, must have at most {MAX_FILE_BYTES}; request one station only")]
-    Large {
-        /// Size of the file.
-        found: u64,
-    },
     /// The file is not XML.
     #[error("is not XML: {0}")]
     Xml(roxmltree::Error),
@@ -83,14 +77,8 @@ impl StationXml {
     /// # Errors
     /// The file cannot be read, is not XML or has no channel.
     pub fn read(path: &Path) -> Result<Self, StationXmlError> {
-        check_regular_file(path).map_err(StationXmlError::Read)?;
-        let found = std::fs::metadata(path)
-            .map_err(StationXmlError::Read)?
-            .len();
-        if found > MAX_FILE_BYTES {
-            return Err(StationXmlError::Large { found });
-        }
-        Self::parse(&std::fs::read_to_string(path).map_err(StationXmlError::Read)?)
+        let read = read_text_up_to(path, MAX_FILE_BYTES);
+        Self::parse(&read.map_err(StationXmlError::Read)?)
     }
 
     /// Reads the text of a file.

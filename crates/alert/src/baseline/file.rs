@@ -3,11 +3,16 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use spandrel_bus::read_text_up_to;
 use spandrel_faults::SensorReference;
 use spandrel_record::write_whole;
 
 use super::{Baseline, ParameterBaseline, WithoutSensor};
 use crate::AlertError;
+
+/// Maximum size of a baseline file (bytes). The effects of 1,000 sensors on 1,000 parameters take
+/// about 30 MB.
+const MOST_BYTES: u64 = 64 << 20;
 
 /// Type and version in the file.
 const FORMAT: &str = "spandrel.baseline.v3";
@@ -67,10 +72,10 @@ impl Baseline {
     /// is unknown.
     ///
     /// # Errors
-    /// Fails if the file is unreadable, is not a baseline of these versions, or contains an invalid
-    /// reference.
+    /// Fails if the file is unreadable, is not a regular file of at most 64 MiB, is not a baseline of
+    /// these versions, or contains an invalid reference.
     pub fn read(path: &Path) -> Result<Self, AlertError> {
-        let text = std::fs::read_to_string(path).map_err(|source| AlertError::File {
+        let text = read_text_up_to(path, MOST_BYTES).map_err(|source| AlertError::File {
             path: path.to_owned(),
             source,
         })?;

@@ -7,7 +7,7 @@ use crate::error::AppError;
 use crate::services::{Running, Share, Watched, block_on};
 use crate::settings::Settings;
 use serde::Serialize;
-use spandrel_bus::{Bus, BusConfig, EstimateBlock, Mode, Progress, Service};
+use spandrel_bus::{Bus, BusConfig, EstimateBlock, Mode, Progress, Service, read_small_text};
 use spandrel_service::Clock;
 use spandrel_structure::Structure;
 use std::collections::BTreeMap;
@@ -67,7 +67,7 @@ struct Load {
 pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
     let text = match &arguments.structure {
         Some(path) => {
-            let read = std::fs::read_to_string(path);
+            let read = read_small_text(path);
             read.map_err(|source| AppError::Io {
                 what: format!("{}: cannot be read", path.display()),
                 source,

@@ -7,13 +7,16 @@ use crate::cli::JudgeArguments;
 use crate::error::AppError;
 use crate::judge_report::{DayLine, Summary, course_csv, report_text};
 use crate::services::Share;
-use spandrel_bus::is_without_date;
+use spandrel_bus::{is_without_date, read_text_up_to};
 use spandrel_judge::{Epoch, Judge};
 use spandrel_judging::{new_reference, read_annotations};
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordError, RecordReader};
 use spandrel_structure::{JudgePlan, JudgedStructure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+/// Maximum size of a file of annotations (bytes): some 100,000 annotations.
+const MOST_ANNOTATION_BYTES: u64 = 64 << 20;
 
 /// Runs the service, or judges every day of a series and prints what changed, or one line of JSON
 /// per judgement.
@@ -38,7 +41,8 @@ pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
     }
     let mut judge = Judge::new(structure.plan.settings.clone())?;
     if let Some(path) = &arguments.annotations {
-        let text = std::fs::read_to_string(path).map_err(|source| RecordError::Open {
+        let read = read_text_up_to(path, MOST_ANNOTATION_BYTES);
+        let text = read.map_err(|source| RecordError::Open {
             path: path.clone(),
             source,
         })?;

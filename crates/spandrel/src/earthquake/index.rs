@@ -5,11 +5,15 @@ use super::report::KIND;
 use crate::error::AppError;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use spandrel_bus::read_text_up_to;
 use spandrel_earthquake::urgency::{Dated, ranking};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
+
+/// Maximum size of a report (bytes). Larger JSON files are skipped.
+const MOST_BYTES: u64 = 64 << 20;
 
 /// What the list shows of a report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -63,7 +67,7 @@ pub fn entries(folder: &Path) -> Result<Vec<Entry>, AppError> {
         if path.extension().is_none_or(|extension| extension != "json") {
             continue;
         }
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        let text = read_text_up_to(&path, MOST_BYTES).unwrap_or_default();
         let entry: Result<Entry, _> = serde_json::from_str(&text);
         entries.extend(entry.ok().filter(|entry| entry.kind == KIND));
     }
