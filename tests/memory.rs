@@ -2,7 +2,7 @@
 //! process (Linux).
 #![cfg(target_os = "linux")]
 
-use crate::support::{HOUSE, storeys};
+use crate::support::{HOUSE, storeys, write_stored_zip};
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -37,7 +37,7 @@ fn assert_refuses(folder: &Path, arguments: &[&str], most_mb: u32, most_s: u32) 
     said
 }
 
-/// Regression: these recordings took up to 4.1 GB or 31 s.
+/// Regression: these recordings took up to 4.1 GB or 31 s. The zip archives took up to 2.5 GB.
 #[test]
 fn huge_recordings_are_refused_within_two_seconds_and_200_mb() {
     let folder = tempfile::tempdir().unwrap();
@@ -63,6 +63,11 @@ fn huge_recordings_are_refused_within_two_seconds_and_200_mb() {
     std::fs::write(at("rows.csv.gz"), [names, rows.repeat(64)].concat()).unwrap();
     let zeros = gzip(folder.path(), &vec![0; 16 << 20]);
     std::fs::write(at("zeros.csv.gz"), zeros.repeat(64)).unwrap();
+    // 72 MiB of rows, because the rest of a file of 800 MB must not be read.
+    let stored = "ground,roof\n".to_owned() + &"0.500000,1.500000\n".repeat(4 << 20);
+    write_stored_zip(&at("huge.zip"), stored.as_bytes(), 800_000_000, 1);
+    let part = &stored.as_bytes()[..12 + 18 * 233_000];
+    write_stored_zip(&at("many.zip"), part, part.len() as u32, 20);
     let house = format!("{HOUSE}[record]\ntime-column = \"\"\n");
     std::fs::write(at("house.toml"), house).unwrap();
     let records = [
@@ -71,6 +76,8 @@ fn huge_recordings_are_refused_within_two_seconds_and_200_mb() {
         "wide.csv",
         "rows.csv.gz",
         "zeros.csv.gz",
+        "huge.zip",
+        "many.zip",
         "/dev/zero",
     ];
     for record in records {
@@ -83,6 +90,8 @@ fn huge_recordings_are_refused_within_two_seconds_and_200_mb() {
             let said = assert_refuses(folder.path(), command, 200, 2);
             let unpacked = record.trim_end_matches(".gz");
             assert!(said.contains(unpacked), "{command:?}: {said}");
+            let is_told = !record.ends_with(".zip") || said.contains("at most 64 MiB");
+            assert!(is_told, "{command:?}: {said}");
         }
     }
     let convert = "convert sound.csv out.csv --rate 100 --resample 1e12";

@@ -1,7 +1,7 @@
 //! Files and arguments that a command checks before it does anything.
 
 use super::table::Table;
-use crate::support::{Finished, Process, spandrel, two_storeys};
+use crate::support::{Finished, Process, spandrel, two_storeys, write_stored_zip};
 use std::io::Write;
 use std::path::Path;
 use std::process::Command;
@@ -704,6 +704,14 @@ fn huge_records(table: &mut Table, folder: &Path) {
         "1 GiB of equal rows in 1 MB of gzip",
         (BAD_INPUT, &told),
         &info("bomb.csv.gz"),
+    );
+    let rows = "ground,roof\n0.5,1.5\n";
+    write_stored_zip(&folder.join("stored.zip"), rows.as_bytes(), 800_000_000, 1);
+    let told = parts(&["stored.zip", "decompressed", "64 MiB", "extract"]);
+    table.add_ended(
+        "a zip archive of 800 MB, without compression",
+        (BAD_INPUT, &told),
+        &info("stored.zip"),
     );
     let mut convert = command(folder, "convert");
     let finished = finish(convert.args(["sound.csv", "out.csv", "--resample", "1e12"]));

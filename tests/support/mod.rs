@@ -1,6 +1,7 @@
 //! Shared parts of the end-to-end tests: processes that end with their test, a site with its own
 //! root and folder, records, and bit-identical comparison of estimates.
 
+mod archive;
 mod building;
 mod computers;
 mod disk;
@@ -20,6 +21,7 @@ mod site;
 mod skip;
 mod stepped_clock;
 
+pub use archive::write_stored_zip;
 pub use building::{HOUSE, distributed_storeys, five_storeys, storeys, two_storeys};
 pub use computers::{Computers, packaged_postgresql};
 pub use disk::SmallDisk;

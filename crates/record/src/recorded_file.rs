@@ -226,7 +226,7 @@ impl<'a> Reading<'a> {
     fn of(options: &'a ReadOptions) -> Self {
         Self {
             options,
-            budget: UnpackingBudget::in_memory(),
+            budget: UnpackingBudget::of_archive(),
         }
     }
 
@@ -281,7 +281,7 @@ impl<'a> Reading<'a> {
     fn packed<R>(&self, input: R, place: &Place) -> Packed<R> {
         match place.archive {
             None => self.budget.packed(input),
-            Some(_) => UnpackingBudget::in_memory().packed(input),
+            Some(_) => UnpackingBudget::of_archive().packed(input),
         }
     }
 
@@ -299,10 +299,13 @@ impl<'a> Reading<'a> {
             Format::Cosmos => cosmos::read(&bytes).map_err(refused)?,
             Format::Csmip => csmip::read(&bytes).map_err(refused)?,
             Format::Matlab => {
-                if place.archive.is_none() {
-                    self.budget.count_packed(bytes.len() as u64);
-                }
-                matlab::read(&bytes, &self.budget).map_err(refused)?
+                let of_file = UnpackingBudget::of_file();
+                of_file.count_packed(bytes.len() as u64);
+                let budget = match place.archive {
+                    None => &of_file,
+                    Some(_) => &self.budget,
+                };
+                matlab::read(&bytes, budget).map_err(refused)?
             }
             Format::Uff58 => uff58::read(&bytes).map_err(refused)?,
             Format::At2 => at2::read(&bytes).map_err(refused)?,

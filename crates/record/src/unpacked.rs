@@ -6,8 +6,15 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use crate::fault::Fault;
 
-/// Maximum number of decompressed bytes per file: more than a day of 20 channels at 200 Hz as text.
-const MOST_BYTES: u64 = 4 << 30;
+/// Maximum number of bytes that are read into memory from an archive.
+///
+/// Content may be stored without compression, so that the ratio does not limit it. The numbers of a
+/// table take up to four times the memory of their text.
+const MOST_OF_ARCHIVE: u64 = 64 << 20;
+
+/// Maximum number of decompressed bytes of a file whose parts are compressed. A person cannot
+/// extract such a file.
+const MOST_OF_FILE: u64 = 4 << 30;
 
 /// Number of bytes that may be decompressed from any file, whatever its compressed size.
 const FREE_BYTES: u64 = 16 << 20;
@@ -38,9 +45,14 @@ pub(crate) struct TooMuch {
 }
 
 impl UnpackingBudget {
-    /// Creates the budget of data that are kept in memory.
-    pub(crate) fn in_memory() -> Self {
-        Self::up_to(MOST_BYTES)
+    /// Creates the budget of the content of an archive, which is kept in memory.
+    pub(crate) fn of_archive() -> Self {
+        Self::up_to(MOST_OF_ARCHIVE)
+    }
+
+    /// Creates the budget of a file whose parts are compressed, and which is kept in memory.
+    pub(crate) fn of_file() -> Self {
+        Self::up_to(MOST_OF_FILE)
     }
 
     /// Creates the budget of data that are processed as a stream, of any length.
@@ -77,6 +89,19 @@ impl UnpackingBudget {
         }
     }
 
+    /// Checks that this number of further bytes, as a header states it, is within the absolute
+    /// limit. Data that exceed it need not be read.
+    pub(crate) fn check_stated(&self, bytes: u64) -> io::Result<()> {
+        let limit = self.most_bytes;
+        match self.unpacked.load(Relaxed).saturating_add(bytes) > limit {
+            true => Err(io::Error::other(TooMuch {
+                limit,
+                most_bytes: limit,
+            })),
+            false => Ok(()),
+        }
+    }
+
     /// Reads all output of a decoder. Memory grows with the actual output, not with the size in a
     /// header.
     pub(crate) fn unpack(&self, decoder: impl Read) -> io::Result<Vec<u8>> {
@@ -103,15 +128,19 @@ impl UnpackingBudget {
 impl TooMuch {
     fn found(&self) -> String {
         match self.limit == self.most_bytes {
-            true => format!("more than {} GiB in total", self.limit >> 30),
+            true => format!("more than {} MiB in total", self.limit >> 20),
             false => format!("more than {} MiB", self.limit >> 20),
         }
     }
 
     fn allowed(&self) -> String {
-        match self.limit == self.most_bytes {
-            true => format!("at most {} GiB", self.most_bytes >> 30),
-            false => format!(
+        match self.limit {
+            MOST_OF_ARCHIVE if self.most_bytes == MOST_OF_ARCHIVE => format!(
+                "at most {} MiB (extract the archive first)",
+                MOST_OF_ARCHIVE >> 20
+            ),
+            limit if limit == self.most_bytes => format!("at most {} MiB", limit >> 20),
+            _ => format!(
                 "at most {} MiB, or {MOST_RATIO} times the compressed size",
                 FREE_BYTES >> 20
             ),
@@ -202,18 +231,31 @@ mod tests {
         let budget = UnpackingBudget::up_to(10);
         assert_eq!(budget.unpack(&[1; 6][..]).unwrap().len(), 6);
         assert!(budget.unpack(&[1; 5][..]).is_err());
-        let budget = UnpackingBudget::in_memory();
-        budget.count_packed(1 << 40);
-        let mut reader = budget.unpacked(io::repeat(0).take(u64::MAX));
-        let mut piece = vec![0; 1 << 28];
-        let error = (0..17)
-            .find_map(|_| reader.read_exact(&mut piece).err())
-            .unwrap();
-        let told = Refusal::of(&error, "whole").of_file().to_string();
-        assert_eq!(
-            told,
-            "decompressed content is more than 4 GiB in total, must be at most 4 GiB"
-        );
+    }
+
+    #[test]
+    fn content_that_is_not_compressed_has_an_absolute_limit() {
+        for (budget, most, advice) in [
+            (
+                UnpackingBudget::of_archive(),
+                64,
+                " (extract the archive first)",
+            ),
+            (UnpackingBudget::up_to(20 << 20), 20, ""),
+        ] {
+            budget.count_packed(1 << 40);
+            budget.unpack(io::repeat(0).take(most << 20)).unwrap();
+            let error = budget.unpack(&[0][..]).unwrap_err();
+            let told = Refusal::of(&error, "whole").of_file().to_string();
+            assert!(budget.check_stated(0).is_err()); // the rejected byte counts
+            assert_eq!(
+                told,
+                format!(
+                    "decompressed content is more than {most} MiB in total, must be at most {most} \
+                     MiB{advice}"
+                )
+            );
+        }
     }
 
     #[test]

@@ -80,7 +80,9 @@ pub(crate) fn read(
     let mut times_ns = Vec::new();
     let mut samples = vec![Vec::new(); columns.len()];
     while let Some(row) = reader.next_row()? {
-        times_ns.push(row.time_ns);
+        if !is_counted {
+            times_ns.push(row.time_ns);
+        }
         samples
             .iter_mut()
             .zip(row.values)

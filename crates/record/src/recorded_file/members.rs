@@ -37,7 +37,8 @@ impl Reading<'_> {
                 depth: 1,
                 ..Place::of(&file)
             };
-            self.member(&mut members, name_of(&file), source, &place)?;
+            // A file in a folder may unpack as much as if it were read alone.
+            Self::of(self.options).member(&mut members, name_of(&file), source, &place)?;
         }
         members.finish(path, Format::Folder)
     }
@@ -79,8 +80,13 @@ impl Reading<'_> {
                 .map_err(|error| refused(format!("name of file {}", index + 1), error))?
                 .into_owned();
             let inside = place.inside(Format::Zip, path.join(&name));
-            let source = Source::new(self.budget.unpacked(member))
-                .map_err(|error| inside.unreadable(error))?;
+            let unreadable = |error| inside.unreadable(error);
+            let stated = member.size();
+            let source = Source::new(self.budget.unpacked(member)).map_err(unreadable)?;
+            if Format::of_content(source.head()).is_some() {
+                let rest = stated.saturating_sub(source.head().len() as u64);
+                self.budget.check_stated(rest).map_err(unreadable)?;
+            }
             self.member(&mut members, name, source, &inside)?;
         }
         members.finish(path, Format::Zip)

@@ -5,7 +5,7 @@ use crate::unpacked::UnpackingBudget;
 
 /// Reads a file with a budget of its own.
 fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
-    super::read(bytes, &UnpackingBudget::in_memory())
+    super::read(bytes, &UnpackingBudget::of_file())
 }
 
 /// A writer of elements in one byte order.
