@@ -622,6 +622,12 @@ pub fn records(table: &mut Table) {
             finish(command(folder.path(), "estimate").args(["house.toml", "--record", "rec.csv"]));
         table.add_ended(given, (BAD_INPUT, &parts(told)), &finished);
     }
+    let wide: Vec<u8> = sound.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    std::fs::write(folder.path().join("utf-16.csv"), wide).unwrap();
+    let finished =
+        finish(command(folder.path(), "estimate").args(["house.toml", "--record", "utf-16.csv"]));
+    let told = parts(&["utf-16.csv", "UTF-16 (little-endian)", "UTF-8"]);
+    table.add_ended("a table in UTF-16", (BAD_INPUT, &told), &finished);
     huge_records(table, folder.path());
     for (given, name, bytes, told) in damaged_formats(folder.path()) {
         std::fs::write(folder.path().join(&name), bytes).unwrap();

@@ -30,6 +30,14 @@ pub enum RecordError {
         /// The known formats.
         allowed: Vec<&'static str>,
     },
+    /// The file is text in UTF-16 or UTF-32.
+    #[error("{}: encoding: is {found}, must be UTF-8", path.display())]
+    Encoding {
+        /// The file.
+        path: PathBuf,
+        /// Name of the encoding.
+        found: &'static str,
+    },
     /// The content of a file violates its format.
     #[error("{}: {format}: {fault}", path.display())]
     Format {

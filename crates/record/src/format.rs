@@ -132,9 +132,62 @@ fn is_text(head: &[u8]) -> bool {
             .any(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace())
 }
 
+/// Returns the encoding of text in UTF-16 or UTF-32, by its byte order mark or by the zeros between
+/// its first two characters. Such text is of no known format.
+pub(crate) fn wide_encoding(head: &[u8]) -> Option<&'static str> {
+    let is_letters = |a: u8, b: u8| a.is_ascii_graphic() && b.is_ascii_graphic();
+    match *head {
+        // The mark of UTF-32 begins like that of UTF-16.
+        [0xff, 0xfe, 0, 0, ..] => Some("UTF-32 (little-endian)"),
+        [0, 0, 0xfe, 0xff, ..] => Some("UTF-32 (big-endian)"),
+        [0xff, 0xfe, ..] => Some("UTF-16 (little-endian)"),
+        [0xfe, 0xff, ..] => Some("UTF-16 (big-endian)"),
+        [a, 0, 0, 0, b, 0, 0, 0, ..] if is_letters(a, b) => Some("UTF-32 (little-endian)"),
+        [0, 0, 0, a, 0, 0, 0, b, ..] if is_letters(a, b) => Some("UTF-32 (big-endian)"),
+        [a, 0, b, 0, ..] if is_letters(a, b) => Some("UTF-16 (little-endian)"),
+        [0, a, 0, b, ..] if is_letters(a, b) => Some("UTF-16 (big-endian)"),
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn utf_16_and_utf_32_are_named_with_and_without_their_mark() {
+        let wide = |width: usize, is_little: bool, mark: bool| {
+            let text = if mark { "\u{feff}time,a\n" } else { "time,a\n" };
+            let number = |letter: char| {
+                let bytes = (letter as u32).to_be_bytes()[4 - width..].to_vec();
+                match is_little {
+                    true => bytes.into_iter().rev().collect(),
+                    false => bytes,
+                }
+            };
+            text.chars().flat_map(number).collect::<Vec<u8>>()
+        };
+        for (width, is_little, expected) in [
+            (2, true, "UTF-16 (little-endian)"),
+            (2, false, "UTF-16 (big-endian)"),
+            (4, true, "UTF-32 (little-endian)"),
+            (4, false, "UTF-32 (big-endian)"),
+        ] {
+            for mark in [true, false] {
+                let head = wide(width, is_little, mark);
+                assert_eq!(wide_encoding(&head), Some(expected), "mark: {mark}");
+                assert_eq!(Format::of(&head, Path::new("a.csv")), None);
+            }
+        }
+        for other in [
+            &b"time,a\n"[..],
+            b"\x05\0\x09\0",
+            b"\x01\0\0\0\x02\0\0\0",
+            b"a",
+        ] {
+            assert_eq!(wide_encoding(other), None);
+        }
+    }
 
     #[test]
     fn content_precedes_the_name_in_format_detection() {

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use crate::column_mapping::places_of;
 use crate::fault::Fault;
+use crate::format::wide_encoding;
 use crate::formats::{at2, cosmos, csmip, matlab, mcap, mini_seed, smc, table, tdms, uff58};
 use crate::source::{Source, open_file};
 use crate::unpacked::{Packed, Refusal, UnpackingBudget};
@@ -234,9 +235,13 @@ impl<'a> Reading<'a> {
     fn source(&self, source: Source<'_>, place: &Place) -> Result<Contents, RecordError> {
         let path = place.path.as_path();
         let Some(format) = Format::of(source.head(), path) else {
-            return Err(RecordError::UnknownFormat {
-                path: path.to_owned(),
-                allowed: Format::names(),
+            let path = path.to_owned();
+            return Err(match wide_encoding(source.head()) {
+                Some(found) => RecordError::Encoding { path, found },
+                None => RecordError::UnknownFormat {
+                    path,
+                    allowed: Format::names(),
+                },
             });
         };
         match format {
