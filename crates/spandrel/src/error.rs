@@ -330,11 +330,12 @@ pub enum AppError {
          both to none"
     )]
     NoStateFolder,
-    /// The matrices of `spandrel check` would take too much memory.
+    /// `spandrel check` would take too much memory or time.
     #[error(
         "{}: a check of {unknowns} parameters and noise levels with {channels} channels takes \
-         about {found_mb} MB of memory, must take at most {most_mb} MB; leave out parameters or \
-         sensors in a copy of the file",
+         about {found_mb} MB of memory and {found_s:.0} s of processor time, must take at most \
+         {most_mb} MB and {most_s:.0} s (20 s on two processors); leave out parameters or sensors \
+         in a copy of the file",
         path.display()
     )]
     CheckTooLarge {
@@ -348,6 +349,10 @@ pub enum AppError {
         found_mb: usize,
         /// Maximum memory (MB).
         most_mb: usize,
+        /// Expected processor time (s).
+        found_s: f64,
+        /// Maximum processor time (s).
+        most_s: f64,
     },
     /// The interval for flushing the recording to disk is not a valid time.
     #[error("state.recording.sync-s is {found}, must be a time in s, such as 1")]

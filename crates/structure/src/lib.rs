@@ -84,6 +84,7 @@ mod truss;
 
 mod assembly;
 mod check;
+mod check_cost;
 mod classes;
 mod common_motion;
 mod computed;

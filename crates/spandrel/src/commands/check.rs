@@ -23,9 +23,15 @@ use tracing::{info, warn};
 /// Seed of the simulated data. It is fixed, so that the same file yields the same report.
 const SEED: u64 = 1;
 
-/// Maximum memory of the matrices of a check (MB). Larger checks take longer than 20 s on two
-/// cores.
+/// Maximum memory of the matrices of a check (MB).
 const MOST_MB: usize = 240;
+
+/// Maximum processor time of a check (s). A check of 32 s took 20 s on two processors, because a
+/// part of its work runs on one. The estimate can be a seventh too small.
+const MOST_PROCESSOR_S: f64 = 28.0;
+
+/// Longest data whose time counts (s). Who asks for longer data waits for them.
+const COUNTED_S: f64 = 60.0;
 
 /// Number of steps of the progress bar.
 const SHARES: u64 = 1000;
@@ -65,7 +71,7 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
             false => page.to_string(),
         });
     }
-    limit_memory(&structure, &arguments.structure)?;
+    limit_cost(&structure, &arguments)?;
     let bar = progress::share_bar(SHARES).with_message("checking");
     let report = structure.check_with_progress(arguments.after, SEED, &|share| {
         bar.set_position((share * SHARES as f64) as u64);
@@ -78,20 +84,21 @@ pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     })
 }
 
-/// Rejects a structure whose check would take too much memory. It could stop the services of the
-/// machine.
-fn limit_memory(structure: &Structure, path: &Path) -> Result<(), AppError> {
-    let unknowns = structure.parameters().len() + structure.noise_levels().len();
-    let channels = structure.channel_count();
+/// Rejects a structure whose check would take too much memory or time. It could stop the services
+/// of the machine.
+fn limit_cost(structure: &Structure, arguments: &CheckArguments) -> Result<(), AppError> {
     let found_mb = structure.check_bytes() / 1_000_000;
-    match found_mb <= MOST_MB {
+    let found_s = structure.check_processor_s(arguments.after.min(COUNTED_S));
+    match found_mb <= MOST_MB && found_s <= MOST_PROCESSOR_S {
         true => Ok(()),
         false => Err(AppError::CheckTooLarge {
-            path: path.to_owned(),
-            unknowns,
-            channels,
+            path: arguments.structure.clone(),
+            unknowns: structure.parameters().len() + structure.noise_levels().len(),
+            channels: structure.channel_count(),
             found_mb,
             most_mb: MOST_MB,
+            found_s,
+            most_s: MOST_PROCESSOR_S,
         }),
     }
 }
