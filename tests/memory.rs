@@ -156,8 +156,8 @@ fn a_check_that_takes_too_much_memory_is_refused() {
     }
 }
 
-/// Returns a building of 1,000 storeys with this many parameters, and with sensors on the ground and
-/// on this many floors.
+/// Returns a building of 1,000 storeys with this many parameters, and with sensors on the ground
+/// and on this many floors.
 fn tall(parameters: usize, floors: usize) -> String {
     let channel = |name: &str, rest: &str| {
         format!(

@@ -638,9 +638,7 @@ pub fn records(table: &mut Table) {
 }
 
 pub fn baselines_and_annotations(table: &mut Table) {
-    table.section(
-        "Baselines and annotations (`spandrel estimate --baseline`, `spandrel judge --annotations`)",
-    );
+    table.section("Baselines and annotations (`estimate --baseline`, `judge --annotations`)");
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("house.toml"), two_storeys("")).unwrap();
     let simulate = "house.toml --record sound.csv --duration 2";

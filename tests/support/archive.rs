@@ -5,8 +5,8 @@ use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 use std::process::Command;
 
-/// Writes a zip archive of `count` tables. Each has these rows, and then zeros up to `length` bytes,
-/// which take no space on the disk.
+/// Writes a zip archive of `count` tables. Each has these rows, and then zeros up to `length`
+/// bytes, which take no space on the disk.
 pub fn write_stored_zip(path: &Path, rows: &[u8], length: u32, count: u16) {
     let checksum = crc_32(path, rows);
     let mut file = File::create(path).unwrap();

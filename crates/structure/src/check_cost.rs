@@ -3,8 +3,8 @@
 //! The time of each kind of work is a number of operations times the time of one. These times were
 //! fitted to 18 measured checks of 100 to 1,000 storeys with 5 to 590 parameters and 3 to 400
 //! channels on two cores of a server. The estimates were 0.87 to 1.13 times the measured times. A
-//! model of at most 100 degrees of freedom can take twice its estimate, because the search for wrong
-//! estimates then takes several steps.
+//! model of at most 100 degrees of freedom can take twice its estimate, because the search for the
+//! estimates under a wrong model then takes several steps.
 
 use crate::structure::Structure;
 
@@ -30,8 +30,8 @@ const BY_PARAMETER_S: f64 = 2.7e-6;
 const BY_LEVELS_S: f64 = 300e-9;
 
 impl Structure {
-    /// Returns an estimate of the processor time of a check with `duration_s` (s) of simulated data,
-    /// in s.
+    /// Returns an estimate of the processor time (s) of a check with `duration_s` (s) of simulated
+    /// data.
     #[must_use]
     pub fn check_processor_s(&self, duration_s: f64) -> f64 {
         let frames = duration_s * self.sampling_rate_hz;

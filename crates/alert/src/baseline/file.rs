@@ -72,8 +72,8 @@ impl Baseline {
     /// is unknown.
     ///
     /// # Errors
-    /// Fails if the file is unreadable, is not a regular file of at most 64 MiB, is not a baseline of
-    /// these versions, or contains an invalid reference.
+    /// Fails if the file is unreadable, is not a regular file of at most 64 MiB, is not a baseline
+    /// of these versions, or contains an invalid reference.
     pub fn read(path: &Path) -> Result<Self, AlertError> {
         let text = read_text_up_to(path, MOST_BYTES).map_err(|source| AlertError::File {
             path: path.to_owned(),
