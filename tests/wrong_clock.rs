@@ -10,7 +10,7 @@ use spandrel_bus::{
     SampleBlock, Service, Start, Status, Stream, StreamSettings, Subscription,
 };
 use std::sync::mpsc::Receiver;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::{Instant, Interval};
 
 /// Rows of a block, and its length.
@@ -319,7 +319,14 @@ async fn node_that_is_ten_minutes_ahead_and_comes_first_is_named_and_the_others_
 async fn node_that_is_seconds_ahead_and_comes_first_is_named_and_no_other_node_is() {
     for off_s in [3, 30] {
         let mut running = Running::start().await;
-        let all = [("roof", off_s), ("ground", 0), ("floor-1", 0)];
+        // The clock of the machine confirms the majority.
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+        let now_s = since_1970.as_secs() as i64;
+        let all = [
+            ("roof", now_s + off_s),
+            ("ground", now_s),
+            ("floor-1", now_s),
+        ];
         for _ in 0..10 {
             running.put(&all[..1]).await;
         }

@@ -6,7 +6,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use std::fmt::Display;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _, fchown};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tracing::{info, warn};
@@ -384,6 +384,10 @@ pub fn replace_private_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     options.write(true).create_new(true).mode(FILE_MODE);
     let mut file = options.open(&beside)?;
     file.write_all(bytes)?;
+    if let Ok(old) = fs::metadata(path) {
+        // A service under another user must still read its key. Only root may do this.
+        let _ = fchown(&file, Some(old.uid()), Some(old.gid()));
+    }
     file.sync_all()?;
     fs::rename(&beside, path)?;
     sync_name(path);

@@ -2,8 +2,10 @@
 //!
 //! The [vote](crate::clock_vote) excludes a node whose clock differs by seconds, and reports it. A
 //! smaller difference leaves its samples in the frames, at wrong times, where it looks like a delay
-//! of the sensor. A difference from the start is therefore reported as well, once. The offset of a node is the time of its newest sample minus a monotonic clock at
-//! its arrival. The largest offset within a window has the least delay.
+//! of the sensor. A difference from the start is therefore reported as well, once.
+//!
+//! The offset of a node is the time of its newest sample minus a monotonic clock at its arrival. The
+//! largest offset within a window has the least delay.
 
 use std::time::Duration;
 
@@ -37,6 +39,8 @@ pub(crate) struct ClockMoves {
     /// Movement above which the vote decides, ns.
     most_ns: u64,
     window_begin: Option<Duration>,
+    /// Number of nodes that were compared in the former window.
+    compared: usize,
 }
 
 /// Differences are those to the median of the nodes, ns.
@@ -48,6 +52,8 @@ struct Clock {
     former_ns: Option<i64>,
     /// Difference from which movements count, and the end of its window.
     reference: Option<(i64, Duration)>,
+    /// Whether other nodes are compared since the reference was taken.
+    is_outdated: bool,
 }
 
 impl ClockMoves {
@@ -57,6 +63,7 @@ impl ClockMoves {
             nodes: vec![Clock::default(); nodes],
             most_ns: u64::try_from(most.as_nanos()).unwrap_or(u64::MAX),
             window_begin: None,
+            compared: 0,
         }
     }
 
@@ -90,9 +97,12 @@ impl ClockMoves {
         let mut largest: Vec<i64> = largest.collect();
         largest.sort_unstable();
         let nodes = largest.len();
+        // The median of other nodes differs, although no clock has moved.
+        let is_other_median = std::mem::replace(&mut self.compared, nodes) != nodes;
         let median_ns = largest.get(nodes / 2).copied();
         let mut moves = Vec::new();
         for (node, clock) in self.nodes.iter_mut().enumerate() {
+            clock.is_outdated |= is_other_median && clock.reference.is_some();
             let offset_ns = clock.largest_ns.take();
             let difference_ns = offset_ns
                 .zip(median_ns)
@@ -104,18 +114,19 @@ impl ClockMoves {
             if difference_ns.abs_diff(former_ns) > LEAST_NS as u64 / 2 {
                 continue; // still moving, or catching up after an outage
             }
+            let is_outdated = std::mem::take(&mut clock.is_outdated);
             let (by_ns, within) = match clock.reference {
                 None if difference_ns.unsigned_abs() >= LEAST_APART_NS as u64 => {
                     (difference_ns, None)
                 }
-                Some((reference_ns, since)) if nodes >= LEAST_NODES => {
+                Some((reference_ns, since)) if nodes >= LEAST_NODES && !is_outdated => {
                     let by_ns = difference_ns.saturating_sub(reference_ns);
                     (by_ns, Some(now.saturating_sub(since)))
                 }
                 _ => (0, None),
             };
             let has_moved = by_ns.unsigned_abs() >= LEAST_NS as u64;
-            if clock.reference.is_none() || has_moved {
+            if clock.reference.is_none() || has_moved || is_outdated {
                 clock.reference = Some((difference_ns, now));
             }
             if has_moved && by_ns.unsigned_abs() <= self.most_ns {
@@ -157,11 +168,21 @@ mod tests {
         /// Lets nodes deliver for some seconds. `off_ms` is the error of the clock of a node minus
         /// the delay of its link, ms, at a time (s from now).
         fn run(&mut self, seconds: u64, off_ms: impl Fn(usize, f64) -> f64) -> Vec<ClockMove> {
+            self.run_some(seconds, 0..self.moves.nodes.len(), off_ms)
+        }
+
+        /// As [`Self::run`], for some of the nodes.
+        fn run_some(
+            &mut self,
+            seconds: u64,
+            nodes: std::ops::Range<usize>,
+            off_ms: impl Fn(usize, f64) -> f64,
+        ) -> Vec<ClockMove> {
             let (begin, mut found) = (self.now, Vec::new());
             for _ in 0..10 * seconds {
                 self.now += Duration::from_millis(100);
                 self.blocks += 1;
-                for node in 0..self.moves.nodes.len() {
+                for node in nodes.clone() {
                     // Links delay four blocks of five by up to 80 ms.
                     let delay_ms = 20.0 * ((self.blocks + node as u64) % 5) as f64;
                     let elapsed_s = (self.now - begin).as_secs_f64();
@@ -197,6 +218,15 @@ mod tests {
         let moves = rig.run(60, |_, _| 0.0);
         assert_eq!(moves.len(), 1);
         assert_eq!((moves[0].node, moves[0].by_ns), (2, -300 * MS));
+    }
+
+    #[test]
+    fn node_that_joins_or_leaves_moves_no_clock() {
+        let mut rig = Rig::new(3);
+        let apart = |node: usize, _: f64| if node == 0 { 0.0 } else { -200.0 };
+        assert_eq!(rig.run_some(60, 0..2, apart), []);
+        assert_eq!(rig.run_some(60, 0..3, apart), []);
+        assert_eq!(rig.run_some(60, 0..2, apart), []);
     }
 
     #[test]

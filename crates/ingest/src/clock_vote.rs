@@ -4,8 +4,9 @@
 //! its arrival. A delay only lowers the offset, and a node that catches up after a delay raises it
 //! quickly. A node therefore votes only with an offset that is steady.
 //!
-//! A node that is ahead cannot be late. If more than half of the nodes agree more closely, it is
-//! wrong from a smaller difference on, once this difference has been steady.
+//! A node that is ahead cannot be late, but most other nodes can, for example behind one gateway.
+//! If more than half of the nodes agree more closely, and agree better with the clock of the
+//! machine, a node that is steadily ahead by less than the limit is wrong as well.
 //!
 //! More than half of the votes, and at least two, decide. They must agree within a limit. Their
 //! decision remains in force as long as one node supports it. A node whose clock jumps, or that
@@ -31,8 +32,7 @@ const TOGETHER: Duration = Duration::from_millis(10);
 const CAUGHT_UP_WITHIN: Duration = Duration::from_secs(1);
 /// Span for which a node must be steadily behind before its clock is blamed and not its link.
 const BEHIND_FOR: Duration = Duration::from_secs(3);
-/// Span for which a node must be steadily ahead within the limit. Links that delay most other nodes
-/// by as much are rarely steady for longer.
+/// Span for which a node must be steadily ahead within the limit.
 const AHEAD_FOR: Duration = Duration::from_secs(5);
 /// Span for which the vote of a silent node counts. Nodes restart within it after a power cut.
 const VOTE_LASTS: Duration = Duration::from_secs(300);
@@ -94,6 +94,32 @@ struct Voter {
     /// Change of the offset by the newest sample, ns; `None` before the second sample.
     rise_ns: Option<i64>,
     is_wrong: bool,
+    /// Whether it is wrong because it is steadily ahead within the limit.
+    leads: bool,
+}
+
+/// What the clock of a node is compared with, ns.
+#[derive(Clone, Copy, Debug)]
+struct Comparison {
+    majority_ns: Option<i64>,
+    limit_ns: i64,
+    lead_ns: i64,
+    /// Whether more than half of the votes, and at least two, are within `lead_ns` of the majority.
+    is_close: bool,
+    machine_ns: Option<i64>,
+}
+
+impl Comparison {
+    /// Returns `true` if the clock of the machine is closer to the majority than to this offset.
+    ///
+    /// Otherwise, most nodes may be late, and the node that leads them is prompt.
+    fn confirms(&self, offset_ns: i64) -> bool {
+        let both = self.majority_ns.zip(self.machine_ns);
+        let is_closer = both.is_some_and(|(majority_ns, machine_ns)| {
+            majority_ns.abs_diff(machine_ns) < offset_ns.abs_diff(machine_ns)
+        });
+        self.is_close && is_closer
+    }
 }
 
 impl Voter {
@@ -131,36 +157,58 @@ impl Voter {
     ///
     /// No delay moves a clock ahead, so the first sample that jumps ahead is wrong. A node that
     /// comes ahead without a jump may be the first of late nodes that catch up, and is judged after
-    /// [`CAUGHT_UP_WITHIN`]. A node that is behind may be late, and most other nodes may be late if
-    /// the node is ahead by more than `lead_ns`. It is judged after the difference has been steady.
-    fn compare(&mut self, majority_ns: Option<i64>, limit_ns: i64, lead_ns: i64, now: Duration) {
+    /// [`CAUGHT_UP_WITHIN`]. A node that is behind may be late, and is judged after it has been
+    /// steadily behind. So is a node that is ahead within the limit. Its newest sample may be late,
+    /// so its largest recent offset counts.
+    fn compare(&mut self, with: &Comparison, now: Duration) {
+        let Comparison {
+            majority_ns,
+            limit_ns,
+            lead_ns,
+            ..
+        } = *with;
         let ahead_ns = majority_ns.map_or(0, |majority_ns| self.ahead_of(majority_ns));
         if ahead_ns > limit_ns {
             let since = *self.ahead_since.get_or_insert(now);
             let has_jumped = self.rise_ns.is_none_or(|rise_ns| rise_ns > limit_ns);
             self.is_wrong |= has_jumped || now.saturating_sub(since) >= CAUGHT_UP_WITHIN;
+            self.leads = false;
             self.apart_since = None;
             return;
         }
         self.ahead_since = None;
-        if (-limit_ns..=lead_ns).contains(&ahead_ns) {
-            self.is_wrong = false;
-            self.apart_since = None;
+        let steady_ns = self.steady_ns(now);
+        if ahead_ns >= -limit_ns {
+            let lead = steady_ns
+                .zip(majority_ns)
+                .map(|(steady_ns, majority_ns)| steady_ns.saturating_sub(majority_ns) > lead_ns);
+            match (lead, steady_ns) {
+                (Some(true), Some(steady_ns)) if self.leads || with.confirms(steady_ns) => {
+                    self.leads |= self.is_apart_for(AHEAD_FOR, steady_ns, now);
+                }
+                (None, _) => {} // it has just stalled, or moved
+                _ => {
+                    self.leads = false;
+                    self.apart_since = None;
+                }
+            }
+            self.is_wrong = self.leads;
             return;
         }
-        let Some(steady_ns) = self.steady_ns(now) else {
-            return;
-        };
+        self.leads = false;
+        if let Some(steady_ns) = steady_ns {
+            self.is_wrong |= self.is_apart_for(BEHIND_FOR, steady_ns, now);
+        }
+    }
+
+    /// Returns `true` if the steady offset has been the same for this span.
+    fn is_apart_for(&mut self, span: Duration, steady_ns: i64, now: Duration) -> bool {
         let is_same = |(_, first_ns): &(Duration, i64)| {
             first_ns.abs_diff(steady_ns) <= STEADY_WITHIN_NS.unsigned_abs()
         };
-        let first = self.apart_since.filter(is_same).unwrap_or((now, steady_ns));
-        self.apart_since = Some(first);
-        let required = match ahead_ns > 0 {
-            true => AHEAD_FOR,
-            false => BEHIND_FOR,
-        };
-        self.is_wrong |= now.saturating_sub(first.0) >= required;
+        let first = self.apart_since.filter(is_same);
+        let first = *self.apart_since.insert(first.unwrap_or((now, steady_ns)));
+        now.saturating_sub(first.0) >= span
     }
 
     /// Returns the largest recent offset if it has not changed for [`STEADY_FOR`].
@@ -379,11 +427,14 @@ impl ClockVote {
             return false;
         };
         let was_wrong = voter.is_wrong;
-        let lead_ns = match self.is_close {
-            true => self.lead_ns,
-            false => self.limit_ns,
+        let with = Comparison {
+            majority_ns: self.majority_ns,
+            limit_ns: self.limit_ns,
+            lead_ns: self.lead_ns,
+            is_close: self.is_close,
+            machine_ns: self.machine_ns,
         };
-        voter.compare(self.majority_ns, self.limit_ns, lead_ns, now);
+        voter.compare(&with, now);
         voter.is_wrong != was_wrong
     }
 }
@@ -433,6 +484,14 @@ mod tests {
             }
         }
 
+        /// The clock of the machine is off by some seconds.
+        fn with_machine(nodes: usize, off_s: i64) -> Self {
+            let mut rig = Self::new(nodes);
+            let time_ns = T0 + rig.now.as_nanos() as i64 + off_s * S;
+            rig.vote.set_machine_time(time_ns, rig.now);
+            rig
+        }
+
         /// Lets some nodes, whose clocks are off by some seconds, deliver for `seconds`.
         fn run(&mut self, seconds: f64, nodes: &[(usize, i64)]) -> Vec<ClockVerdict> {
             for _ in 0..(10.0 * seconds) as u32 {
@@ -479,25 +538,37 @@ mod tests {
     // The difference is within the limit, but no delay of one link explains it.
     #[test]
     fn clock_that_is_steadily_ahead_within_the_limit_is_wrong_if_most_others_agree_closely() {
-        let mut rig = Rig::new(4);
+        let mut rig = Rig::with_machine(4, 0);
         let of = |off_s: i64| [(2, off_s), (0, 0), (1, 0), (3, 0)];
-        assert_eq!(
-            rig.run(4.0, &of(3)),
-            [AGREES; 4],
-            "not steady for long enough"
-        );
+        let told = rig.run(4.0, &of(3));
+        assert_eq!(told, [AGREES; 4], "not steady for long enough");
         let ahead = [AGREES, AGREES, wrong(3), AGREES];
         assert_eq!(rig.run(4.0, &of(3)), ahead);
         let tally = rig.vote.tally();
         assert_eq!((tally.votes, tally.agreeing), (4, 3));
+        // A stalled link does not make the clock right.
+        rig.run(0.7, &of(1));
+        assert!(rig.vote.is_wrong(2));
+        assert_eq!(rig.run(1.0, &of(3)), ahead);
         assert_eq!(rig.run(4.0, &of(0)), [AGREES; 4]);
         // Links explain a smaller lead, and a node that is behind.
         assert_eq!(rig.run(10.0, &of(1)), [AGREES; 4]);
         assert_eq!(rig.run(10.0, &of(-3)), [AGREES; 4]);
         // Half of the nodes are no majority, and neither is one of two.
         let halves = [(0, 0), (1, 0), (2, 3), (3, 3)];
-        assert_eq!(Rig::new(4).run(10.0, &halves), [AGREES; 4]);
-        assert_eq!(Rig::new(2).run(10.0, &[(0, 3), (1, 0)]), [AGREES; 2]);
+        assert_eq!(Rig::with_machine(4, 0).run(10.0, &halves), [AGREES; 4]);
+        let pair = [(0, 3), (1, 0)];
+        assert_eq!(Rig::with_machine(2, 0).run(10.0, &pair), [AGREES; 2]);
+    }
+
+    // Most nodes are behind one slow gateway. The others are prompt.
+    #[test]
+    fn prompt_nodes_are_right_if_most_others_are_late() {
+        let nodes = [(0, 0), (1, 0), (2, -3), (3, -3), (4, -3)];
+        let mut rig = Rig::with_machine(5, 0);
+        assert_eq!(rig.run(60.0, &nodes), [AGREES; 5]);
+        // Nobody knows the time.
+        assert_eq!(Rig::new(5).run(60.0, &nodes), [AGREES; 5]);
     }
 
     #[test]

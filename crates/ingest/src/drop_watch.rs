@@ -7,9 +7,10 @@ use crate::counts::NodeCounts;
 
 /// Length of the span over which shares are computed.
 const SPAN: Duration = Duration::from_secs(5);
-/// Time after the first sample of a node in which nothing is reported. If one clock is ahead, the
-/// first frames are those of its time, and the samples of all other nodes are late at first. Within
-/// this time, the clocks are compared, and the wrong one is reported instead.
+/// Time after the first sample of a node, or after a silence of the same length, in which nothing is
+/// reported. If one clock is ahead, the first frames are those of its time, and the samples of all
+/// other nodes are late at first. Within this time, the clocks are compared, and the wrong one is
+/// reported instead.
 const FIRST: Duration = Duration::from_secs(7);
 /// Minimum number of samples in a span. A few dropped samples at the start are no finding.
 const MIN_SAMPLES: u64 = 20;
@@ -44,6 +45,8 @@ pub(crate) struct DropWatch {
 struct Node {
     /// Reading with the first samples.
     first: Option<Duration>,
+    /// Last reading with new samples, and the number of samples so far.
+    last: (Duration, u64),
     /// Readings of the counters, oldest first.
     readings: VecDeque<(Duration, NodeCounts)>,
     is_reported: bool,
@@ -68,9 +71,12 @@ impl DropWatch {
         reports: &mut Vec<DropReport>,
     ) {
         for (index, (node, counts)) in self.nodes.iter_mut().zip(counts).enumerate() {
-            if counts.received == 0 {
+            if counts.received == node.last.1 {
+                let is_silent = now.saturating_sub(node.last.0) >= FIRST;
+                node.first.take_if(|_| is_silent);
                 continue;
             }
+            node.last = (now, counts.received);
             let first = *node.first.get_or_insert(now);
             if now.saturating_sub(first) < FIRST {
                 continue;

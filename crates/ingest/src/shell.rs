@@ -135,6 +135,8 @@ pub struct IngestService {
     drop_watch: DropWatch,
     lockout_watch: BlockWatch,
     rejection_watch: BlockWatch,
+    /// Blocks with another number of channels.
+    channel_watch: BlockWatch,
     quality_watch: QualityWatch,
     missing_share: MissingShare,
     clock: Clock,
@@ -342,6 +344,7 @@ impl IngestService {
                 ),
                 lockout_watch: BlockWatch::new(node_count, LOCKOUT_OVER_AFTER),
                 rejection_watch: BlockWatch::new(node_count, REJECTION_OVER_AFTER),
+                channel_watch: BlockWatch::new(node_count, REJECTION_OVER_AFTER),
                 quality_watch: QualityWatch::new(node_count),
                 missing_share,
                 clock: *clock,
@@ -582,18 +585,15 @@ impl IngestService {
         let excluded = nodes.iter().map(|counts| counts.follow.locked_out_blocks);
         let excluded = self.lockout_watch.read(excluded, elapsed);
         reports.extend(excluded.into_iter().map(lockout));
-        let wrong_channels: Vec<u64> = self
-            .core
-            .node_counts()
-            .map(|counts| counts.wrong_channels)
-            .collect();
-        let rejected = nodes.iter().zip(&wrong_channels);
-        let rejected = rejected.map(|(counts, wrong)| counts.rejected() + wrong);
+        let rejected = nodes.iter().map(StreamCounts::rejected);
         for report in self.rejection_watch.read(rejected, elapsed) {
-            reports.push(rejection(
-                report,
-                nodes[report.node].last_rejection.as_deref(),
-            ));
+            let why = nodes[report.node].last_rejection.as_deref();
+            reports.extend(rejection(report, why.unwrap_or_default()));
+        }
+        let wrong = self.core.node_counts().map(|counts| counts.wrong_channels);
+        for report in self.channel_watch.read(wrong, elapsed) {
+            let why = "its blocks have another number of channels than the structure file states";
+            reports.extend(rejection(report, why));
         }
         for report in reports {
             let Some(node) = self.layout.nodes().get(report.node) else {
@@ -699,29 +699,20 @@ fn lockout(report: BlockReport) -> DropReport {
     }
 }
 
-/// Reports a node whose messages cannot be used. `last` is the reason of the bus for the last one.
-fn rejection(report: BlockReport, last: Option<&str>) -> DropReport {
-    let (what, why) = match (report.is_over, last) {
-        (true, _) => (
-            "no further message of the node was rejected for a minute".to_owned(),
-            "its messages can be read, or no longer arrive",
-        ),
-        (false, last) => (
-            format!(
-                "messages of the node are rejected: {} so far",
-                report.blocks
-            ),
-            match last {
-                Some("foreign-blocks") => "another source publishes on the topic of this node",
-                Some(why) => why,
-                None => "its blocks have another number of channels than the structure file states",
-            },
-        ),
+/// Reports a node whose messages cannot be used, for this reason. Its other messages can be, so there
+/// is no report of an end.
+fn rejection(report: BlockReport, why: &str) -> Option<DropReport> {
+    let why = match why {
+        "foreign-blocks" => "another source publishes on the topic of this node",
+        other => other,
     };
-    DropReport {
+    (!report.is_over).then(|| DropReport {
         node: report.node,
-        what,
+        what: format!(
+            "messages of the node are rejected: {} so far",
+            report.blocks
+        ),
         why: why.to_owned(),
-        is_over: report.is_over,
-    }
+        is_over: false,
+    })
 }

@@ -85,6 +85,8 @@ pub struct ReportsService {
     making: Option<JoinHandle<(Desk, Work)>>,
     /// Earliest time of the next attempt to make a report. `None` if nothing is left to do.
     make_at: Option<Instant>,
+    /// Earliest time of a report, when the open alerts are known.
+    make_from: Instant,
     /// Recordings that wait for the disk.
     waiting: VecDeque<Recorded>,
     keeping: Option<JoinHandle<(Recorded, Result<Kept, String>)>>,
@@ -195,6 +197,7 @@ impl ReportsService {
                 making: None,
                 // A report may have been due while the service did not run.
                 make_at: Some(now + ALERTS_WITHIN),
+                make_from: now + ALERTS_WITHIN,
                 waiting: VecDeque::new(),
                 keeping: None,
                 keep_at: now,
@@ -372,7 +375,11 @@ impl ReportsService {
         {
             self.make_at = None;
             self.hear_alerts();
-            let open = self.state.alerts.values().filter(|alert| alert.stands());
+            let open = self
+                .state
+                .alerts
+                .values()
+                .filter(|alert| alert.stands() && !self.state.is_alert_stale(&alert.parameter));
             let standing: Vec<String> = open.map(|alert| alert.why.clone()).collect();
             self.making = Some(tokio::task::spawn_blocking(move || {
                 let work = desk.work(&standing);
@@ -392,7 +399,7 @@ impl ReportsService {
             Ok(kept) => {
                 info!(recording = kept.stem, "recording of an earthquake kept");
                 self.trouble = None;
-                self.make_at = Some(Instant::now());
+                self.make_at = Some(Instant::now().max(self.make_from));
                 self.keep_state(true).await;
             }
             Err(why) => {
