@@ -97,7 +97,7 @@ fn huge_recordings_are_refused_within_two_seconds_and_200_mb() {
             let said = assert_refuses(folder.path(), command, 200, 2);
             let unpacked = record.trim_end_matches(".gz");
             assert!(said.contains(unpacked), "{command:?}: {said}");
-            let is_told = !record.ends_with(".zip") || said.contains("at most 32 MiB");
+            let is_told = !record.ends_with(".zip") || said.contains("at most 24 MiB");
             assert!(is_told, "{command:?}: {said}");
         }
     }

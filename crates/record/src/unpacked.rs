@@ -10,7 +10,7 @@ use crate::fault::Fault;
 ///
 /// Content may be stored without compression, so that the ratio does not limit it. The numbers of a
 /// table take up to four times the memory of their text.
-const MOST_OF_ARCHIVE: u64 = 32 << 20;
+const MOST_OF_ARCHIVE: u64 = 24 << 20;
 
 /// Maximum number of decompressed bytes of a file whose parts are compressed. A person cannot
 /// extract such a file.
@@ -238,7 +238,7 @@ mod tests {
         for (budget, most, advice) in [
             (
                 UnpackingBudget::of_archive(),
-                32,
+                24,
                 " (extract the archive first)",
             ),
             (UnpackingBudget::up_to(20 << 20), 20, ""),
