@@ -9,8 +9,9 @@ use spandrel_bus::{
     Block, Bus, Delivery, Event, EventKind, FrameBlock, Message as _, MonitoringDisplay, Name,
     SampleBlock, Service, Start, Status, Stream, StreamSettings, Subscription,
 };
+use spandrel_service::Clock;
 use std::sync::mpsc::Receiver;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::time::{Instant, Interval};
 
 /// Rows of a block, and its length.
@@ -320,8 +321,7 @@ async fn node_that_is_seconds_ahead_and_comes_first_is_named_and_no_other_node_i
     for off_s in [3, 30] {
         let mut running = Running::start().await;
         // The clock of the machine confirms the majority.
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-        let now_s = since_1970.as_secs() as i64;
+        let now_s = Clock::of_machine().now_ns() / SECOND_NS;
         let all = [
             ("roof", now_s + off_s),
             ("ground", now_s),
