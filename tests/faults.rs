@@ -336,7 +336,7 @@ async fn rejected_messages_of_a_node_are_an_event_with_the_reason() {
         while reasons.len() < 3 {
             let (_, event) = events.messages().recv_async().await.unwrap();
             if event.kind == EventKind::SamplesDropped {
-                assert_eq!(event.what, "messages of the node are rejected: 1 so far");
+                assert_eq!(event.what, "messages of the node were rejected, 1 at first");
                 reasons.insert(event.subject, event.why);
             }
         }

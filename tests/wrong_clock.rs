@@ -321,7 +321,7 @@ async fn node_that_is_seconds_ahead_and_comes_first_is_named_and_no_other_node_i
     for off_s in [3, 30] {
         let mut running = Running::start().await;
         // The clock of the machine confirms the majority.
-        let now_s = Clock::of_machine().now_ns() / SECOND_NS;
+        let now_s = (Clock::of_machine().now_ns() + SECOND_NS / 2) / SECOND_NS;
         let all = [
             ("roof", now_s + off_s),
             ("ground", now_s),

@@ -13,7 +13,7 @@ use std::time::Duration;
 const WINDOW: Duration = Duration::from_secs(5);
 /// Least movement that is reported, ns. Links rarely delay all samples of a window by as much.
 const LEAST_NS: i64 = 100_000_000;
-/// Least difference from the start that is reported, ns. Links of different kinds differ by less.
+/// Least difference from the start that is reported, ns. The links of one site differ by less.
 const LEAST_APART_NS: i64 = 250_000_000;
 /// Minimum number of nodes. With fewer nodes, it is not known whose clock has moved.
 const LEAST_NODES: usize = 3;

@@ -110,13 +110,16 @@ struct Comparison {
 }
 
 impl Comparison {
-    /// Returns `true` if the clock of the machine is closer to the majority than to this offset.
+    /// Returns `true` if the clock of the machine agrees with the majority, and is closer to it than
+    /// to this offset.
     ///
     /// Otherwise, most nodes may be late, and the node that leads them is prompt.
     fn confirms(&self, offset_ns: i64) -> bool {
         let both = self.majority_ns.zip(self.machine_ns);
         let is_closer = both.is_some_and(|(majority_ns, machine_ns)| {
-            majority_ns.abs_diff(machine_ns) < offset_ns.abs_diff(machine_ns)
+            let distance_ns = majority_ns.abs_diff(machine_ns);
+            let agrees = distance_ns <= self.limit_ns.unsigned_abs();
+            agrees && distance_ns < offset_ns.abs_diff(machine_ns)
         });
         self.is_close && is_closer
     }
@@ -567,8 +570,10 @@ mod tests {
         let nodes = [(0, 0), (1, 0), (2, -3), (3, -3), (4, -3)];
         let mut rig = Rig::with_machine(5, 0);
         assert_eq!(rig.run(60.0, &nodes), [AGREES; 5]);
-        // Nobody knows the time.
+        // Nobody knows the time, or the clock of the machine is wrong.
         assert_eq!(Rig::new(5).run(60.0, &nodes), [AGREES; 5]);
+        let mut rig = Rig::with_machine(5, -3600);
+        assert_eq!(rig.run(60.0, &nodes), [AGREES; 5]);
     }
 
     #[test]

@@ -709,7 +709,7 @@ fn rejection(report: BlockReport, why: &str) -> Option<DropReport> {
     (!report.is_over).then(|| DropReport {
         node: report.node,
         what: format!(
-            "messages of the node are rejected: {} so far",
+            "messages of the node were rejected, {} at first",
             report.blocks
         ),
         why: why.to_owned(),

@@ -30,7 +30,7 @@ const MOST_MB: usize = 240;
 /// part of its work runs on one. The estimate can be a seventh too small.
 const MOST_PROCESSOR_S: f64 = 28.0;
 
-/// Longest data whose time counts (s). Who asks for longer data waits for them.
+/// Longest data whose time counts (s). Only `--after` requests longer data.
 const COUNTED_S: f64 = 60.0;
 
 /// Number of steps of the progress bar.
