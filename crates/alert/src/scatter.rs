@@ -22,7 +22,7 @@
 //! With two records, up to 4.7 % of sound records exceed its bound of 0.99. For this distribution
 //! without a limit on the scatter, the share is at most 1 %.
 
-use std::f64::consts::SQRT_2;
+use spandrel_modal::normal_cdf;
 
 /// X = `normal_std`·Z + `student_scale`·T.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -144,11 +144,6 @@ pub(crate) fn root(a: f64, b: f64, accuracy: f64, function: impl Fn(f64) -> f64)
         (b, at_b) = (next, at_next);
     }
     b
-}
-
-/// Returns Φ(z) = erfc(−z/√2)/2, with full relative precision in the lower tail.
-pub(crate) fn normal_cdf(z: f64) -> f64 {
-    0.5 * libm::erfc(-z / SQRT_2)
 }
 
 #[cfg(test)]

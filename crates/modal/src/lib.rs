@@ -39,6 +39,7 @@
 //! - [`Tracker`]: assigns the modes of each epoch to known ones, and proposes new ones
 //! - [`RecordModes`]: all of this for a recording
 //! - [`StiffnessUpdate`]: with a model, the change of the stiffness of each part from these modes
+//! - [`normal_cdf()`]: the normal distribution function, also for the credibility of alerts
 //!
 //! The crate contains only maths: no files, no clock, no log. If the excitation is measured,
 //! `spandrel-filter` determines the stiffness of the parts at the sampling rate.
@@ -51,6 +52,7 @@ mod error;
 mod identify;
 mod ladder;
 mod law;
+mod normal;
 mod perturbation;
 mod prefilter;
 mod realisation;
@@ -71,6 +73,7 @@ pub use identify::{
 };
 pub use ladder::{BandLadder, LadderEpoch, LadderModes, highest_band_end_hz};
 pub use law::{Uncertainty, smallest_uncertainty};
+pub use normal::normal_cdf;
 pub use realisation::Pole;
 pub use record_modes::{EpochModes, ModeSummary, RecordModes, SAME_MACHINE};
 pub use settings::ModalSettings;

@@ -15,8 +15,8 @@ use super::part_model::PartModel;
 use super::reference::{Predicted, ReferenceMode, UpdateReference};
 use super::scatter::{Level, Of};
 use crate::ModalError;
+use crate::normal::normal_cdf;
 use nalgebra::{DMatrix, DVector};
-use std::f64::consts::SQRT_2;
 
 /// Prior standard deviation of the change of ln k of a part.
 const CHANGE_STD: f64 = 0.15;
@@ -420,11 +420,6 @@ impl UpdatePrecision {
     pub fn found_at() -> f64 {
         FOUND
     }
-}
-
-/// Returns Φ, the distribution function of the standard normal distribution.
-fn normal_cdf(z: f64) -> f64 {
-    0.5 * libm::erfc(-z / SQRT_2)
 }
 
 #[cfg(test)]
