@@ -13,7 +13,7 @@ use serde::{Serialize, Serializer};
 use spandrel_bus::{
     FrameBlock, Header, LocalDensity, LocalMessage, NodeLineage, Pace, SampleBlock, StreamState,
 };
-use spandrel_checkpoint::{Checkpoints, Identity, Place, Refusal};
+use spandrel_checkpoint::{Checkpoints, Identity, Position, Refusal};
 use spandrel_fuse::{Fusion, FusionState};
 use spandrel_identify::{
     Identification, IdentificationState, NodeIdentification, NodeIdentificationState, NodeInput,
@@ -29,11 +29,11 @@ const FILES: usize = 200;
 const RESERVED_BYTES: u64 = 4 << 20;
 const BYTES_PER_BYTE: u64 = 40;
 
-const BEFORE: Place = Place {
+const BEFORE: Position = Position {
     epoch: 1,
     sequence: 100,
 };
-const NEWEST: Place = Place {
+const NEWEST: Position = Position {
     epoch: 1,
     sequence: 200,
 };
@@ -232,9 +232,9 @@ where
             let [(path, why)] = &loaded.refused[..] else {
                 panic!("{case}: {:?}", loaded.refused)
             };
-            let (place, found) = loaded.found.unwrap_or_else(|| panic!("{case}: {why}"));
+            let (position, found) = loaded.found.unwrap_or_else(|| panic!("{case}: {why}"));
             assert!(
-                place == BEFORE && identity.seal(&found).unwrap() == whole,
+                position == BEFORE && identity.seal(&found).unwrap() == whole,
                 "{case}: the previous checkpoint is unchanged"
             );
             assert!(

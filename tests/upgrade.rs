@@ -15,7 +15,7 @@ use serde_json::Value;
 use spandrel_bus::{
     AlertMessage, AlertState, Bus, HistoryLog, HistorySpan, Name, Service, Start, StreamSettings,
 };
-use spandrel_checkpoint::{Checkpoints, Identity, Place};
+use spandrel_checkpoint::{Checkpoints, Identity, Position};
 use std::path::{Path, PathBuf};
 
 /// First chunk of all keys, which recording and history contain.
@@ -432,13 +432,13 @@ async fn a_checkpoint_of_a_later_version_is_set_aside_and_the_recording_reread()
             of: "house".to_owned(),
             basis: String::new(),
         };
-        let place = Place {
+        let position = Position {
             epoch: 1,
             sequence: 1,
         };
         Checkpoints::open(&kept.checkpoints(), identity)
             .unwrap()
-            .save(place, &"later".to_owned())
+            .save(position, &"later".to_owned())
             .unwrap();
     }
     let services = kept.run();

@@ -4,13 +4,13 @@
 //! A panic that the reader of checkpoints catches is a rejection.
 
 use sha2::{Digest, Sha256};
-use spandrel_checkpoint::{Checkpoints, Identity, Place};
+use spandrel_checkpoint::{Checkpoints, Identity, Position};
 use spandrel_identify::{Identification, IdentificationState};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
 
 const STRUCTURE: &str = include_str!("../../tests/fixtures/kept/0.1.0/structure.toml");
-const PLACE: Place = Place {
+const POSITION: Position = Position {
     epoch: 1,
     sequence: 0,
 };
@@ -38,7 +38,7 @@ impl Decoder {
         };
         let name = format!(
             "identify-{:020}-{:020}.checkpoint",
-            PLACE.epoch, PLACE.sequence
+            POSITION.epoch, POSITION.sequence
         );
         let mut label = identity.seal(&()).expect("no state can be sealed");
         label.truncate(label.len() - CHECKSUM_BYTES);
@@ -67,12 +67,12 @@ impl Decoder {
         }
         std::fs::write(&self.file, &file).expect("the folder can be written");
         let loaded = self.checkpoints.load_latest::<IdentificationState>();
-        let Some((place, state)) = loaded.found else {
+        let Some((position, state)) = loaded.found else {
             assert!(!self.file.exists());
             let reasons = loaded.refused.iter().map(|(_, why)| why.to_string());
             return Err(reasons.collect::<Vec<_>>().join(", "));
         };
-        assert_eq!(place, PLACE);
+        assert_eq!(position, POSITION);
         let core = Identification::new(&self.structure, "identify");
         let mut core = core.expect("the structure is valid");
         core.restore(state).map_err(|error| error.to_string())?;

@@ -3,7 +3,7 @@
 
 use super::table::{Table, code};
 use crate::support::{Process, Site, two_storeys};
-use spandrel_checkpoint::{Checkpoints, Identity, Place};
+use spandrel_checkpoint::{Checkpoints, Identity, Position};
 use std::path::{Path, PathBuf};
 
 /// Rules, so that an alert service with checkpoints runs.
@@ -74,7 +74,7 @@ pub async fn all(table: &mut Table) {
     let mut turned = sound.clone();
     turned[sound.len() / 2] ^= 1;
     // `identify` starts with the oldest readable checkpoint, so these come before the sound one.
-    let place = |sequence| Place { epoch: 0, sequence };
+    let place = |sequence| Position { epoch: 0, sequence };
     let path =
         |sequence: u64| checkpoints.join(format!("identify-{:020}-{sequence:020}.checkpoint", 0));
     // The state before the first frame is older, and remains until alert has saved a decision.
@@ -96,7 +96,7 @@ pub async fn all(table: &mut Table) {
         kind: "alert",
         ..identity(9_999, "house")
     };
-    let last = Place {
+    let last = Position {
         epoch: 1 << 62,
         sequence: 1,
     };

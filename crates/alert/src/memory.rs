@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use spandrel_checkpoint::{
-    CheckpointError, Checkpoints, Failures, Identity, Place, Remembering, fingerprint,
+    CheckpointError, Checkpoints, Failures, Identity, Position, Remembering, fingerprint,
     moment_within,
 };
 use spandrel_structure::Structure;
@@ -165,7 +165,7 @@ pub(crate) struct Memory {
     checkpoints: Checkpoints,
     every: Duration,
     last: Instant,
-    kept: Option<Place>,
+    kept: Option<Position>,
     failures: Failures,
 }
 
@@ -200,18 +200,18 @@ impl Memory {
                 .load_latest_or_formers::<AlertState, version_4::AlertState, version_2::AlertState>(
                     FORMER_VERSIONS,
                 );
-            let (place, state) = loaded.found?;
+            let (position, state) = loaded.found?;
             if state.is_consistent() {
                 info!(
-                    epoch = place.epoch,
-                    estimate = place.sequence,
+                    epoch = position.epoch,
+                    estimate = position.sequence,
                     "resumed from its checkpoint"
                 );
-                self.kept = Some(place);
+                self.kept = Some(position);
                 return Some(state);
             }
             drop(self.checkpoints.refuse(
-                place,
+                position,
                 "it contains decisions on parameters that it does not name".to_owned(),
             ));
         }
@@ -220,8 +220,8 @@ impl Memory {
     /// Returns the number of the first estimate of an epoch that a restart would need again.
     pub(crate) fn kept(&self, epoch: u64) -> u64 {
         self.kept
-            .filter(|place| place.epoch == epoch)
-            .map_or(0, |place| place.sequence)
+            .filter(|position| position.epoch == epoch)
+            .map_or(0, |position| position.sequence)
     }
 
     pub(crate) fn is_due(&self) -> bool {
@@ -235,15 +235,15 @@ impl Memory {
             return;
         };
         self.last = Instant::now();
-        let place = Place { epoch, sequence };
+        let position = Position { epoch, sequence };
         // This call blocks the thread during the write, so callers use `block_in_place`.
         let kept = self
             .checkpoints
-            .save(place, state)
-            .and_then(|()| self.checkpoints.forget_before(Some(place)));
+            .save(position, state)
+            .and_then(|()| self.checkpoints.forget_before(Some(position)));
         match kept {
             Ok(()) => {
-                self.kept = Some(place);
+                self.kept = Some(position);
                 if let Some(failures) = self.failures.succeeded() {
                     info!(failures, "decisions are saved again");
                 }

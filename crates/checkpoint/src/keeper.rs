@@ -2,7 +2,7 @@
 
 use crate::error::CheckpointError;
 use crate::failures::Failures;
-use crate::series::{Checkpoints, Place};
+use crate::series::{Checkpoints, Position};
 use serde::Serialize;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
@@ -73,15 +73,15 @@ impl Keeper {
     /// argument.
     pub async fn keep<T: Serialize + Send + 'static>(
         &mut self,
-        place: Place,
+        position: Position,
         state: T,
-        needed: Option<Place>,
+        needed: Option<Position>,
     ) {
         self.finish().await;
         self.last = Instant::now();
         let checkpoints = self.checkpoints.clone();
         self.saving = Some(tokio::task::spawn_blocking(move || {
-            checkpoints.save(place, &state)?;
+            checkpoints.save(position, &state)?;
             checkpoints.forget_before(needed)
         }));
     }
@@ -139,8 +139,8 @@ mod tests {
         Keeper::new(Checkpoints::open(folder, identity).unwrap(), every)
     }
 
-    fn at(sequence: u64) -> Place {
-        Place { epoch: 1, sequence }
+    fn at(sequence: u64) -> Position {
+        Position { epoch: 1, sequence }
     }
 
     #[tokio::test]
@@ -152,7 +152,7 @@ mod tests {
         }
         keeper.finish().await;
         assert!(keeper.is_due());
-        assert_eq!(keeper.checkpoints().places().unwrap(), [at(2), at(3)]);
+        assert_eq!(keeper.checkpoints().positions().unwrap(), [at(2), at(3)]);
         assert_eq!(
             keeper.checkpoints().load_latest::<u64>().found,
             Some((at(3), 3))
@@ -193,7 +193,7 @@ mod tests {
         keeper.keep(at(3), 3_u64, None).await;
         keeper.finish().await;
         assert_eq!(keeper.failures().consecutive(), 0);
-        assert_eq!(keeper.checkpoints().places().unwrap(), [at(1), at(3)]);
+        assert_eq!(keeper.checkpoints().positions().unwrap(), [at(1), at(3)]);
     }
 
     #[tokio::test]

@@ -3,12 +3,12 @@
 //! A service that restarts loads its newest checkpoint and resumes from that position.
 //!
 //! ```
-//! use spandrel_checkpoint::{Checkpoints, Identity, Place};
+//! use spandrel_checkpoint::{Checkpoints, Identity, Position};
 //! # let folder = tempfile::tempdir()?;
 //! let identity = Identity { kind: "counter", version: 1, of: "bridge".into(), basis: "name = \"bridge\"".into() };
 //! let checkpoints = Checkpoints::open(folder.path(), identity)?;
-//! checkpoints.save(Place { epoch: 1, sequence: 500 }, &42_u64)?;
-//! assert_eq!(checkpoints.load_latest::<u64>().found, Some((Place { epoch: 1, sequence: 500 }, 42)));
+//! checkpoints.save(Position { epoch: 1, sequence: 500 }, &42_u64)?;
+//! assert_eq!(checkpoints.load_latest::<u64>().found, Some((Position { epoch: 1, sequence: 500 }, 42)));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -16,7 +16,7 @@
 //! - [`Identity`]: the service, version, structure and basis that a checkpoint must match
 //! - [`fingerprint`]: a hash of the input that part of a state depends on, for services that
 //!   validate parts separately
-//! - [`Place`]: an item of a numbered stream
+//! - [`Position`]: an item of a numbered stream
 //! - [`Keeper`]: saves states in the background, at most once per interval
 //! - [`Failures`]: counts failed saves and limits how often they are reported
 //! - [`Remembering`]: the folder and interval of the checkpoints
@@ -38,5 +38,6 @@ pub use error::{CheckpointError, Refusal};
 pub use failures::Failures;
 pub use keeper::{Keeper, moment_within};
 pub use series::{
-    Checkpoints, Loaded, Place, Remembering, may_become_writable, replace_private_file, sync_name,
+    Checkpoints, Loaded, Position, Remembering, may_become_writable, replace_private_file,
+    sync_name,
 };

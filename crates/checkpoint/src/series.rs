@@ -26,7 +26,7 @@ const FILE_MODE: u32 = 0o600;
 
 /// A position in a numbered stream: the first item that is not part of the state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Place {
+pub struct Position {
     /// Epoch of the stream.
     pub epoch: u64,
     /// Sequence number of the item within the epoch.
@@ -53,7 +53,7 @@ pub struct Checkpoints {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Loaded<T> {
     /// The restored state with its position in the stream. `None` if there is no usable checkpoint.
-    pub found: Option<(Place, T)>,
+    pub found: Option<(Position, T)>,
     /// Rejected files, each with its path after it was renamed and the reason for the rejection.
     pub refused: Vec<(PathBuf, Refusal)>,
 }
@@ -87,7 +87,7 @@ impl Checkpoints {
             }
         }
         // An unreadable folder must be reported at the start.
-        if checkpoints.places()?.is_empty() {
+        if checkpoints.positions()?.is_empty() {
             sync_name(folder);
         }
         Ok(checkpoints)
@@ -108,7 +108,7 @@ impl Checkpoints {
     /// # Errors
     /// The disk is full, or the file system reports another error. Earlier checkpoints remain
     /// intact.
-    pub fn save<T: Serialize>(&self, place: Place, state: &T) -> Result<(), CheckpointError> {
+    pub fn save<T: Serialize>(&self, position: Position, state: &T) -> Result<(), CheckpointError> {
         let bytes = self.identity.seal(state)?;
         let mut above = self.folder.ancestors().skip(1).take(2);
         if !self.has_folder() && above.any(Path::is_dir) {
@@ -116,7 +116,7 @@ impl Checkpoints {
             let _ = create_folder(&self.folder);
             sync_name(&self.folder);
         }
-        let path = self.path(place);
+        let path = self.path(position);
         let beside = path.with_extension("new");
         let written = write_whole(&beside, &path, &bytes, &self.folder);
         if written.is_err() {
@@ -126,18 +126,18 @@ impl Checkpoints {
         written
     }
 
-    /// Renames the checkpoint at `place`, whose content is invalid although its file is intact, so
-    /// that it is not read again. Returns the path of the file and the reason `why`.
-    pub fn refuse(&self, place: Place, why: String) -> (PathBuf, Refusal) {
+    /// Renames the checkpoint at `position`, whose content is invalid although its file is intact,
+    /// so that it is not read again. Returns the path of the file and the reason `why`.
+    pub fn refuse(&self, position: Position, why: String) -> (PathBuf, Refusal) {
         let why = Refusal::Content(why);
-        (set_aside(&self.path(place), &why), why)
+        (set_aside(&self.path(position), &why), why)
     }
 
     /// Returns the newest usable state. Unusable files are renamed.
     #[must_use]
     pub fn load_latest<T: DeserializeOwned>(&self) -> Loaded<T> {
         self.load(
-            self.places().unwrap_or_default().into_iter().rev(),
+            self.positions().unwrap_or_default().into_iter().rev(),
             |bytes| self.identity.open(bytes),
         )
     }
@@ -158,7 +158,7 @@ impl Checkpoints {
             }
             opened => opened,
         };
-        self.load(self.places().unwrap_or_default().into_iter().rev(), open)
+        self.load(self.positions().unwrap_or_default().into_iter().rev(), open)
     }
 
     /// Works like [`Checkpoints::load_latest_or_former`] for two former layouts: `F` of version
@@ -180,7 +180,7 @@ impl Checkpoints {
             }
             opened => opened,
         };
-        self.load(self.places().unwrap_or_default().into_iter().rev(), open)
+        self.load(self.positions().unwrap_or_default().into_iter().rev(), open)
     }
 
     fn convert<T, F>(&self, bytes: &[u8], former: u16) -> Result<T, Refusal>
@@ -208,13 +208,13 @@ impl Checkpoints {
     pub fn recall<T: DeserializeOwned, R, E: Display>(
         &self,
         mut restore: impl FnMut(T) -> Result<R, E>,
-    ) -> Option<(Place, R)> {
-        self.places()
+    ) -> Option<(Position, R)> {
+        self.positions()
             .unwrap_or_default()
             .into_iter()
             .rev()
-            .find_map(|place| {
-                let path = self.path(place);
+            .find_map(|position| {
+                let path = self.path(position);
                 let state = read(&path).and_then(|bytes| self.identity.open(&bytes));
                 let restored = state.and_then(|state| {
                     restore(state).map_err(|why| Refusal::Content(why.to_string()))
@@ -222,14 +222,14 @@ impl Checkpoints {
                 restored
                     .map_err(|why| set_aside(&path, &why))
                     .ok()
-                    .map(|restored| (place, restored))
+                    .map(|restored| (position, restored))
             })
     }
 
     /// Returns the oldest usable state. Unusable files are renamed.
     #[must_use]
     pub fn load_oldest<T: DeserializeOwned>(&self) -> Loaded<T> {
-        self.load(self.places().unwrap_or_default().into_iter(), |bytes| {
+        self.load(self.positions().unwrap_or_default().into_iter(), |bytes| {
             self.identity.open(bytes)
         })
     }
@@ -242,20 +242,20 @@ impl Checkpoints {
     ///
     /// # Errors
     /// A file cannot be removed.
-    pub fn forget_before(&self, needed: Option<Place>) -> Result<(), CheckpointError> {
-        let places = self.places()?;
-        let last_two = places.len().saturating_sub(2);
+    pub fn forget_before(&self, needed: Option<Position>) -> Result<(), CheckpointError> {
+        let positions = self.positions()?;
+        let last_two = positions.len().saturating_sub(2);
         let base = match needed {
-            Some(needed) => places
-                .partition_point(|place| *place <= needed)
+            Some(needed) => positions
+                .partition_point(|position| *position <= needed)
                 .saturating_sub(1),
             None => last_two,
         };
         let first = base
             .min(last_two)
-            .max(places.len().saturating_sub(MOST_KEPT));
-        for place in &places[..first] {
-            let path = self.path(*place);
+            .max(positions.len().saturating_sub(MOST_KEPT));
+        for position in &positions[..first] {
+            let path = self.path(*position);
             match fs::remove_file(&path) {
                 // A user has already deleted the file.
                 Err(source) if source.kind() == io::ErrorKind::NotFound => {}
@@ -273,33 +273,33 @@ impl Checkpoints {
     ///
     /// # Errors
     /// The folder cannot be read.
-    pub fn places(&self) -> Result<Vec<Place>, CheckpointError> {
+    pub fn positions(&self) -> Result<Vec<Position>, CheckpointError> {
         let failed = |reason| CheckpointError::Io {
             what: "read",
             path: self.folder.clone(),
             reason,
         };
-        let mut places = Vec::new();
+        let mut positions = Vec::new();
         for entry in fs::read_dir(&self.folder).map_err(failed)? {
             let name = entry.map_err(failed)?.file_name();
-            places.extend(name.to_str().and_then(|name| self.place(name)));
+            positions.extend(name.to_str().and_then(|name| self.position(name)));
         }
-        places.sort_unstable();
-        Ok(places)
+        positions.sort_unstable();
+        Ok(positions)
     }
 
     fn load<T>(
         &self,
-        places: impl Iterator<Item = Place>,
+        positions: impl Iterator<Item = Position>,
         open: impl Fn(&[u8]) -> Result<T, Refusal>,
     ) -> Loaded<T> {
         let mut refused = Vec::new();
-        for place in places {
-            let path = self.path(place);
+        for position in positions {
+            let path = self.path(position);
             match read(&path).and_then(|bytes| open(&bytes)) {
                 Ok(state) => {
                     return Loaded {
-                        found: Some((place, state)),
+                        found: Some((position, state)),
                         refused,
                     };
                 }
@@ -312,19 +312,19 @@ impl Checkpoints {
         }
     }
 
-    fn path(&self, place: Place) -> PathBuf {
-        let Place { epoch, sequence } = place;
+    fn path(&self, position: Position) -> PathBuf {
+        let Position { epoch, sequence } = position;
         self.folder.join(format!(
             "{}-{epoch:020}-{sequence:020}.{ENDING}",
             self.identity.kind
         ))
     }
 
-    fn place(&self, name: &str) -> Option<Place> {
+    fn position(&self, name: &str) -> Option<Position> {
         let stem = name.strip_suffix(ENDING)?.strip_suffix('.')?;
         let numbers = stem.strip_prefix(self.identity.kind)?.strip_prefix('-')?;
         let (epoch, sequence) = numbers.split_once('-')?;
-        Some(Place {
+        Some(Position {
             epoch: epoch.parse().ok()?,
             sequence: sequence.parse().ok()?,
         })
@@ -467,8 +467,8 @@ mod tests {
         Checkpoints::open(folder, identity).unwrap()
     }
 
-    fn at(epoch: u64, sequence: u64) -> Place {
-        Place { epoch, sequence }
+    fn at(epoch: u64, sequence: u64) -> Position {
+        Position { epoch, sequence }
     }
 
     #[test]
@@ -504,8 +504,8 @@ mod tests {
                 refused: vec![]
             }
         );
-        for place in [at(2, 5), at(1, 900), at(2, 40)] {
-            checkpoints.save(place, &place.sequence).unwrap();
+        for position in [at(2, 5), at(1, 900), at(2, 40)] {
+            checkpoints.save(position, &position.sequence).unwrap();
         }
         assert_eq!(
             checkpoints.load_latest::<u64>().found,
@@ -556,16 +556,16 @@ mod tests {
     fn needed_checkpoints_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = checkpoints(folder.path());
-        let kept = |needed: Option<Place>| {
+        let kept = |needed: Option<Position>| {
             for sequence in [10, 20, 30, 40, 50] {
                 checkpoints.save(at(1, sequence), &sequence).unwrap();
             }
             checkpoints.forget_before(needed).unwrap();
             checkpoints
-                .places()
+                .positions()
                 .unwrap()
                 .iter()
-                .map(|place| place.sequence)
+                .map(|position| position.sequence)
                 .collect::<Vec<_>>()
         };
         assert_eq!(kept(Some(at(1, 25))), [20, 30, 40, 50]);
@@ -584,7 +584,7 @@ mod tests {
             checkpoints.save(at(1, sequence), &sequence).unwrap();
         }
         checkpoints.forget_before(Some(at(1, 0))).unwrap();
-        assert_eq!(checkpoints.places().unwrap().len(), MOST_KEPT);
+        assert_eq!(checkpoints.positions().unwrap().len(), MOST_KEPT);
     }
 
     #[test]
@@ -621,7 +621,7 @@ mod tests {
             }
         };
         assert_eq!(checkpoints.recall(odd), Some((at(1, 1), 10)));
-        assert_eq!(checkpoints.places().unwrap(), [at(1, 1)]);
+        assert_eq!(checkpoints.positions().unwrap(), [at(1, 1)]);
         for sequence in [2, 3] {
             let aside = checkpoints
                 .path(at(1, sequence))
@@ -653,7 +653,7 @@ mod tests {
             "{:?}",
             loaded.refused
         );
-        assert_eq!(checkpoints.places().unwrap(), [at(1, 1)]);
+        assert_eq!(checkpoints.positions().unwrap(), [at(1, 1)]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use spandrel_bus::{
     NumberedPublisher, NumberedStream, OutlierDisplay, ParameterDisplay, ProgressPublisher,
     Service, StreamState, Subscription,
 };
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Position, Remembering};
 use spandrel_filter::fusion::compression::MISSED_MASS;
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, ServiceInstance, StatusPublisher, Stop,
@@ -294,12 +294,12 @@ impl FuseService {
 
     /// Saves a checkpoint if there has been a fusion.
     async fn keep(&mut self) {
-        let place = Place {
+        let position = Position {
             epoch: self.core.epoch(),
             sequence: self.core.done(),
         };
-        if let Some(keeper) = self.keeper.as_mut().filter(|_| place.sequence > 0) {
-            keeper.keep(place, self.core.state(), None).await;
+        if let Some(keeper) = self.keeper.as_mut().filter(|_| position.sequence > 0) {
+            keeper.keep(position, self.core.state(), None).await;
         }
     }
 
@@ -368,11 +368,11 @@ fn recall(
         basis: structure.identification_basis(),
     };
     let checkpoints = Checkpoints::open(&remembering.folder, identity)?;
-    if let Some((place, ())) = checkpoints.recall(|state| core.restore(state)) {
+    if let Some((position, ())) = checkpoints.recall(|state| core.restore(state)) {
         info!(
             structure = structure.name(),
-            epoch = place.epoch,
-            fusion = place.sequence,
+            epoch = position.epoch,
+            fusion = position.sequence,
             "resumed from its checkpoint"
         );
     }

@@ -3,13 +3,13 @@
 use crate::error::IdentifyError;
 use crate::identification::{Identification, IdentificationState};
 use spandrel_bus::{Progress, ProgressWatch};
-use spandrel_checkpoint::{Checkpoints, Failures, Identity, Keeper, Loaded, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Failures, Identity, Keeper, Loaded, Position, Remembering};
 use spandrel_structure::Structure;
 use tokio::task::block_in_place;
 use tracing::{info, warn};
 
 /// Position of the state before the first frame, ahead of all others.
-const FIRST: Place = Place {
+const FIRST: Position = Position {
     epoch: 0,
     sequence: 0,
 };
@@ -64,7 +64,7 @@ impl Memory {
     /// Returns the highest term in which this service has led, 0 before the first.
     pub(crate) fn last_term(&self) -> u64 {
         self.terms
-            .places()
+            .positions()
             .ok()
             .and_then(|terms| terms.last().map(|term| term.epoch))
             .unwrap_or(0)
@@ -75,7 +75,7 @@ impl Memory {
     pub(crate) fn keep_term(&self, term: u64) {
         let keep = || {
             self.terms.save(
-                Place {
+                Position {
                     epoch: term,
                     sequence: 0,
                 },
@@ -122,7 +122,7 @@ impl Memory {
             let mut core = new()?;
             let loaded = load(self.keeper.checkpoints());
             refused += loaded.refused.len();
-            let Some((place, state)) = loaded.found else {
+            let Some((position, state)) = loaded.found else {
                 if refused > 0 {
                     warn!(
                         refused,
@@ -135,14 +135,16 @@ impl Memory {
             match core.restore(state) {
                 Ok(()) => {
                     info!(
-                        epoch = place.epoch,
-                        frame = place.sequence,
+                        epoch = position.epoch,
+                        frame = position.sequence,
                         "resumed from its checkpoint"
                     );
                     return Ok(core);
                 }
                 Err(error) => {
-                    self.keeper.checkpoints().refuse(place, error.to_string());
+                    self.keeper
+                        .checkpoints()
+                        .refuse(position, error.to_string());
                     refused += 1;
                 }
             }
@@ -188,7 +190,7 @@ impl Memory {
         let heard = self
             .alert
             .latest()
-            .map(|Progress { header, kept, .. }| Place {
+            .map(|Progress { header, kept, .. }| Position {
                 epoch: header.epoch,
                 sequence: kept,
             });
@@ -200,7 +202,7 @@ impl Memory {
             None
         };
         self.keeper
-            .keep(Place { epoch, sequence }, core.state(), needed)
+            .keep(Position { epoch, sequence }, core.state(), needed)
             .await;
     }
 }

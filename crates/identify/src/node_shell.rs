@@ -10,7 +10,7 @@ use spandrel_bus::{
     LiveToken, LocalMessage, Name, POSITION_TIMEOUT, Pace, SampleBlock, Service, Start,
     Subscription,
 };
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Position, Remembering};
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
@@ -284,7 +284,7 @@ impl NodeService {
             return false;
         }
         let (epoch, sequence) = match self.begins_at {
-            Some(place) => place,
+            Some(position) => position,
             None => {
                 let position = self
                     .bus
@@ -357,7 +357,7 @@ impl NodeService {
         if core.done() > 0 {
             keeper
                 .keep(
-                    Place {
+                    Position {
                         epoch: core.epoch(),
                         sequence: core.done(),
                     },
@@ -413,13 +413,13 @@ fn recall(
         &remembering.folder.join("nodes").join(node.as_str()),
         identity,
     )?;
-    if let Some((place, ())) = checkpoints.recall(|state| core.restore(state)) {
+    if let Some((position, ())) = checkpoints.recall(|state| core.restore(state)) {
         let (structure, node) = (structure.name(), node.as_str());
         info!(
             structure,
             node,
-            epoch = place.epoch,
-            samples = place.sequence,
+            epoch = position.epoch,
+            samples = position.sequence,
             "resumed from its checkpoint"
         );
     }

@@ -3,7 +3,7 @@
 use crate::error::ModesError;
 use crate::following::{Following, FollowingState};
 use spandrel_bus::Keys;
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Position, Remembering};
 use std::collections::BTreeMap;
 use tracing::info;
 
@@ -38,8 +38,8 @@ impl Memory {
             .keeper
             .checkpoints()
             .recall(|state: FollowingState| core.restore(state));
-        if let Some((place, ())) = restored {
-            let (epoch, frame) = (place.epoch, place.sequence);
+        if let Some((position, ())) = restored {
+            let (epoch, frame) = (position.epoch, position.sequence);
             info!(epoch, frame, "resumed from its checkpoint");
         }
     }
@@ -50,8 +50,8 @@ impl Memory {
             return;
         }
         if let Some((epoch, sequence)) = core.position() {
-            let place = Place { epoch, sequence };
-            self.keeper.keep(place, core.state(), None).await;
+            let position = Position { epoch, sequence };
+            self.keeper.keep(position, core.state(), None).await;
         }
     }
 

@@ -6,7 +6,7 @@ use crate::outbox::{Remembered, version_1, version_2};
 use crate::sight::Told;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{AlertMessage, Name};
-use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Place};
+use spandrel_checkpoint::{CheckpointError, Checkpoints, Failures, Identity, Position};
 use spandrel_service::Clock;
 use std::path::Path;
 use std::time::Duration;
@@ -79,7 +79,7 @@ pub(crate) struct Recalled {
 #[derive(Debug)]
 pub(crate) struct Memory {
     checkpoints: Checkpoints,
-    next: Place,
+    next: Position,
     failures: Failures,
 }
 
@@ -100,10 +100,10 @@ impl Memory {
         let found = checkpoints
             .load_latest_or_formers::<State, State2, State1>(FORMER_VERSIONS)
             .found;
-        let last = found.as_ref().map_or(0, |(place, _)| place.sequence);
+        let last = found.as_ref().map_or(0, |(position, _)| position.sequence);
         let memory = Self {
             checkpoints,
-            next: Place {
+            next: Position {
                 epoch: 0,
                 sequence: last + 1,
             },

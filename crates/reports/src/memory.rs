@@ -3,7 +3,7 @@
 use crate::cutting::{Cutting, CuttingState};
 use crate::error::ReportsError;
 use spandrel_bus::Keys;
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Place, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Position, Remembering};
 use spandrel_structure::EarthquakePlan;
 use std::collections::BTreeMap;
 use tracing::info;
@@ -39,8 +39,8 @@ impl Memory {
             .keeper
             .checkpoints()
             .recall(|state: CuttingState| cutting.restore(state));
-        if let Some((place, ())) = restored {
-            let (epoch, frame) = (place.epoch, place.sequence);
+        if let Some((position, ())) = restored {
+            let (epoch, frame) = (position.epoch, position.sequence);
             info!(epoch, frame, "resumed from its checkpoint");
         }
     }
@@ -53,8 +53,8 @@ impl Memory {
             return;
         }
         if let Some((epoch, sequence)) = cutting.needed_from() {
-            let place = Place { epoch, sequence };
-            self.keeper.keep(place, cutting.state(), None).await;
+            let position = Position { epoch, sequence };
+            self.keeper.keep(position, cutting.state(), None).await;
         }
     }
 

@@ -89,10 +89,10 @@ async fn wait_for_a_checkpoint(remembering: &Remembering) {
     let checkpoints = Checkpoints::open(&remembering.folder, identity(&structure())).unwrap();
     let saved = async {
         while checkpoints
-            .places()
+            .positions()
             .unwrap()
             .last()
-            .is_none_or(|place| place.sequence <= FIRST)
+            .is_none_or(|position| position.sequence <= FIRST)
         {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }

@@ -2,7 +2,7 @@
 //! uninterrupted one.
 
 use spandrel_bus::{FrameBlock, Header, StreamState};
-use spandrel_checkpoint::{Checkpoints, Identity, Place};
+use spandrel_checkpoint::{Checkpoints, Identity, Position};
 use spandrel_identify::{Identification, IdentificationInput, IdentificationState, Output};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};
@@ -99,14 +99,14 @@ fn every_example_resumes_from_its_checkpoint_with_the_same_bits() {
             );
             let (epoch, sequence) = broken.position().unwrap();
             checkpoints
-                .save(Place { epoch, sequence }, &broken.state())
+                .save(Position { epoch, sequence }, &broken.state())
                 .unwrap();
             checkpoints.forget_before(None).unwrap();
             let loaded = checkpoints.load_latest::<IdentificationState>();
-            let (place, state) = loaded
+            let (position, state) = loaded
                 .found
                 .unwrap_or_else(|| panic!("{}: {:?}", file.display(), loaded.refused));
-            assert_eq!(place, Place { epoch, sequence });
+            assert_eq!(position, Position { epoch, sequence });
             broken = new();
             broken.restore(state).unwrap();
         }
