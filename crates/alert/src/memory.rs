@@ -231,11 +231,10 @@ impl Memory {
     /// Saves a checkpoint. On return it is on disk, or the failure is logged. Alerts are published
     /// in both cases.
     pub(crate) fn keep(&mut self, state: &AlertState) {
-        let Some((epoch, sequence)) = state.watch.position() else {
+        let Some(position) = state.watch.position() else {
             return;
         };
         self.last = Instant::now();
-        let position = Position { epoch, sequence };
         // This call blocks the thread during the write, so callers use `block_in_place`.
         let kept = self
             .checkpoints

@@ -8,6 +8,7 @@ use spandrel_bus::{
     ModeDisplay, MonitoringDisplay, MonitoringState, Name, ProgressPublisher, Question, Questions,
     SensorHealthDisplay, Service, Start, Status, Stream, Subscription,
 };
+use spandrel_checkpoint::Position;
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
@@ -167,7 +168,7 @@ impl AlertService {
                 None => None,
             };
             let start = match watch.position() {
-                Some((epoch, sequence)) => Start::At { epoch, sequence },
+                Some(Position { epoch, sequence }) => Start::At { epoch, sequence },
                 None => Start::Beginning,
             };
             let mut alerts = Vec::new();
@@ -197,11 +198,11 @@ impl AlertService {
             let progress = bus
                 .publish_progress(keys.progress(Service::Alert), id.to_string())
                 .await?;
-            let done = watch.position().map_or(0, |(epoch, done)| {
+            let done = watch.position().map_or(0, |at| {
                 // A source can be waiting for the last progress, which a killed run was unable to
                 // publish.
-                progress.set(epoch, done, last_time_ns.unwrap_or(i64::MIN));
-                done
+                progress.set(at.epoch, at.sequence, last_time_ns.unwrap_or(i64::MIN));
+                at.sequence
             });
             let service = Self {
                 estimates: bus

@@ -8,6 +8,7 @@ use spandrel_bus::{
     AlertState, Decimation, Estimate, EstimateBlock, EstimateFlags, FitReason, FitVerdict,
     UndecidedBecause,
 };
+use spandrel_checkpoint::Position;
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
@@ -31,8 +32,8 @@ const SKIPPED_FRAMES: f64 = 3.5;
 pub struct Watch {
     parameter_count: usize,
     decisions: Vec<Decision>,
-    /// Epoch of the estimates and number of the next one.
-    pub(crate) expected: Option<(u64, u64)>,
+    /// Position of the next estimate.
+    pub(crate) expected: Option<Position>,
     /// Time of frame 0 in the last block, ns. A gap is not detected across a restart, because this
     /// is not stored.
     #[serde(skip)]
@@ -222,9 +223,14 @@ impl Watch {
         let Some(grid) = block.grid() else {
             return Ok(()); // a checked block has a grid
         };
-        let start = (block.header.epoch, block.header.sequence);
+        let start = Position {
+            epoch: block.header.epoch,
+            sequence: block.header.sequence,
+        };
         match self.expected {
-            Some((epoch, _)) if epoch != start.0 => self.handle_all(&Input::NewSource, alerts),
+            Some(expected) if expected.epoch != start.epoch => {
+                self.handle_all(&Input::NewSource, alerts)
+            }
             Some(expected) if expected != start || self.has_shifted(block) => {
                 self.handle_all(&Input::Gap, alerts);
             }
@@ -234,7 +240,10 @@ impl Watch {
             self.handle_estimate(grid.time_ns(number), estimate, alerts);
             after(self, number);
         }
-        self.expected = Some((start.0, start.1 + block.estimates.len() as u64));
+        self.expected = Some(Position {
+            sequence: start.sequence + block.estimates.len() as u64,
+            ..start
+        });
         self.t0_ns = Some(block.t0_ns);
         Ok(())
     }
@@ -367,9 +376,9 @@ impl Watch {
         self.parameter_count
     }
 
-    /// Returns epoch and number of the first estimate that has not been processed. `None` before
-    /// the first.
-    pub fn position(&self) -> Option<(u64, u64)> {
+    /// Returns the position of the first estimate that has not been processed. `None` before the
+    /// first.
+    pub fn position(&self) -> Option<Position> {
         self.expected
     }
 

@@ -16,7 +16,7 @@
 //! - [`Identity`]: the service, version, structure and basis that a checkpoint must match
 //! - [`fingerprint`]: a hash of the input that part of a state depends on, for services that
 //!   validate parts separately
-//! - [`Position`]: an item of a numbered stream
+//! - [`Position`]: an item of a numbered stream, by epoch and sequence number
 //! - [`Keeper`]: saves states in the background, at most once per interval
 //! - [`Failures`]: counts failed saves and limits how often they are reported
 //! - [`Remembering`]: the folder and interval of the checkpoints

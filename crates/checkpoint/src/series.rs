@@ -2,7 +2,7 @@
 
 use crate::envelope::Identity;
 use crate::error::{CheckpointError, Refusal};
-use serde::{Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::fmt::Display;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
@@ -24,8 +24,11 @@ const MOST_KEPT: usize = 64;
 const FOLDER_MODE: u32 = 0o700;
 const FILE_MODE: u32 = 0o600;
 
-/// A position in a numbered stream: the first item that is not part of the state.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+/// A position in a numbered stream, such as the first item that is not part of the state. A later
+/// epoch is after all positions of an earlier one.
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
 pub struct Position {
     /// Epoch of the stream.
     pub epoch: u64,

@@ -184,7 +184,7 @@ impl Memory {
     }
 
     async fn keep(&mut self, core: &Identification) {
-        let Some((epoch, sequence)) = core.position() else {
+        let Some(position) = core.position() else {
             return;
         };
         let heard = self
@@ -201,8 +201,6 @@ impl Memory {
         } else {
             None
         };
-        self.keeper
-            .keep(Position { epoch, sequence }, core.state(), needed)
-            .await;
+        self.keeper.keep(position, core.state(), needed).await;
     }
 }

@@ -16,6 +16,7 @@ use spandrel_bus::{
     Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, Name, NodeLineage, Pace,
     SampleBlock, StreamState, TimeGrid, ToldMotion,
 };
+use spandrel_checkpoint::Position;
 use spandrel_filter::fusion::{
     CompressedMotion, Feedback, FeedbackRule, Gaussian, LocalFilter, Taken,
 };
@@ -269,10 +270,13 @@ impl NodeIdentification {
         self.epoch
     }
 
-    /// Returns epoch and number of the first sample that is not filtered. `None` before the first.
+    /// Returns the position of the first sample that is not filtered. `None` before the first.
     #[must_use]
-    pub fn position(&self) -> Option<(u64, u64)> {
-        self.stream.map(|stream| (stream.epoch, stream.next))
+    pub fn position(&self) -> Option<Position> {
+        self.stream.map(|stream| Position {
+            epoch: stream.epoch,
+            sequence: stream.next,
+        })
     }
 
     /// Returns the number of the message whose feedback must arrive before replayed samples

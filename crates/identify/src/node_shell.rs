@@ -66,8 +66,8 @@ pub struct NodeService {
     /// Whether the worker resumed from a checkpoint. It then also reads later samples from the
     /// sensor's buffer.
     goes_on: bool,
-    /// Epoch and number of the first live sample measured during this run. `None` before the first.
-    begins_at: Option<(u64, u64)>,
+    /// Position of the first live sample measured during this run. `None` before the first.
+    begins_at: Option<Position>,
     set_aside: SetAside,
     /// The samples last passed to the filter.
     at_work: Option<Span>,
@@ -142,13 +142,10 @@ impl NodeService {
                 .map(|remembering| recall(&mut core, structure, &node, remembering))
                 .transpose()?;
             let position = core.position();
-            let settings =
-                bus.reading(
-                    position.map_or(Start::Beginning, |(epoch, sequence)| Start::At {
-                        epoch,
-                        sequence,
-                    }),
-                );
+            let settings = bus.reading(position.map_or(
+                Start::Beginning,
+                |Position { epoch, sequence }| Start::At { epoch, sequence },
+            ));
             let samples = bus
                 .follow(keys.samples(&node), keys.buffer(&node), settings)
                 .await?;
@@ -283,17 +280,19 @@ impl NodeService {
         if block.pace == Pace::Replayed {
             return false;
         }
-        let (epoch, sequence) = match self.begins_at {
+        let Position { epoch, sequence } = match self.begins_at {
             Some(position) => position,
             None => {
-                let position = self
+                let answer = self
                     .bus
                     .stream_position(&self.buffer_key, POSITION_TIMEOUT)
                     .await;
                 // A sensor without a buffer sends no earlier samples.
-                *self
-                    .begins_at
-                    .insert(position.map_or((0, 0), |at| (at.header.epoch, at.header.sequence)))
+                let position = answer.map(|at| Position {
+                    epoch: at.header.epoch,
+                    sequence: at.header.sequence,
+                });
+                *self.begins_at.insert(position.unwrap_or_default())
             }
         };
         block.header.epoch == epoch && block.end() <= sequence

@@ -6,6 +6,7 @@ use spandrel_bus::{
     Claim, Description, EstimateBlock, LatestPublisher, LiveToken, NumberedPublisher,
     NumberedStandby, Progress, ProgressPublisher, Question, Questions, Standing,
 };
+use spandrel_checkpoint::Position;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -96,15 +97,14 @@ const MOST_HELD: usize = 16_384;
 /// Subscribers detect duplicates by their time.
 #[derive(Debug, Default)]
 pub(crate) struct Held {
-    /// Outputs with epoch and number of the frame after their frames.
-    waiting: VecDeque<((u64, u64), Output)>,
+    /// Outputs with the position of the frame after their frames.
+    waiting: VecDeque<(Position, Output)>,
 }
 
 impl Held {
-    /// Keeps an output of the frames before number `end` of an epoch. Drops the oldest output when
-    /// the queue is full.
-    pub(crate) fn keep(&mut self, epoch: u64, end: u64, output: Output) {
-        self.waiting.push_back(((epoch, end), output));
+    /// Keeps an output of the frames before `end`. Drops the oldest output when the queue is full.
+    pub(crate) fn keep(&mut self, end: Position, output: Output) {
+        self.waiting.push_back((end, output));
         while self.waiting.len() > MOST_HELD {
             self.waiting.pop_front();
         }
@@ -112,7 +112,10 @@ impl Held {
 
     /// Drops the outputs that the leader has published.
     pub(crate) fn done(&mut self, progress: &Progress) {
-        let done = (progress.header.epoch, progress.done);
+        let done = Position {
+            epoch: progress.header.epoch,
+            sequence: progress.done,
+        };
         while self.waiting.front().is_some_and(|(end, _)| *end <= done) {
             self.waiting.pop_front();
         }
@@ -155,8 +158,9 @@ mod tests {
 
     fn held(ends: impl IntoIterator<Item = (u64, u64)>) -> Held {
         let mut held = Held::default();
-        ends.into_iter().for_each(|(epoch, end)| {
-            held.keep(epoch, end, Output::Responses(vec![vec![(end as f64, 0.0)]]))
+        ends.into_iter().for_each(|(epoch, sequence)| {
+            let end = Position { epoch, sequence };
+            held.keep(end, Output::Responses(vec![vec![(sequence as f64, 0.0)]]))
         });
         held
     }

@@ -15,6 +15,7 @@ use spandrel_bus::{
     LiveToken, LiveWatch, Load, Name, Pace, ProgressWatch, Service, Start, Status, StreamState,
     Subscription,
 };
+use spandrel_checkpoint::Position;
 use spandrel_faults::SensorReference;
 use spandrel_service::{
     Clock, LAST_FRAMES, LAST_FRAMES_IN_ALL, Monitored, Report, STATUS_EVERY, ServiceInstance,
@@ -391,7 +392,7 @@ impl IdentifyService {
         };
         if core
             .position()
-            .is_some_and(|(epoch, _)| epoch != self.epoch)
+            .is_some_and(|position| position.epoch != self.epoch)
         {
             core = new()?; // estimates of a former epoch are not published again
         }
@@ -441,12 +442,9 @@ impl IdentifyService {
                 standing_by.estimates.keep(&block)?
             }
             (Seat::StandingBy(standing_by), output) => {
-                let (epoch, end) = self
-                    .core
-                    .as_ref()
-                    .and_then(Identification::position)
-                    .unwrap_or((0, 0));
-                standing_by.held.keep(epoch, end, output);
+                let core = self.core.as_ref();
+                let end = core.and_then(Identification::position).unwrap_or_default();
+                standing_by.held.keep(end, output);
             }
             (Seat::Joining, _) => {} // identification is paused
         }
@@ -497,7 +495,7 @@ async fn next(frames: Option<&mut Pieces<FrameBlock>>) -> Option<Delivery<FrameB
 /// Returns the position from which an identification needs frames.
 fn start_of(core: &Identification) -> Start {
     match core.position() {
-        Some((epoch, sequence)) => Start::At { epoch, sequence },
+        Some(Position { epoch, sequence }) => Start::At { epoch, sequence },
         None => Start::Beginning,
     }
 }

@@ -3,6 +3,7 @@
 use crate::identification::IdentificationInput;
 use crate::set_aside::Span;
 use spandrel_bus::Block;
+use spandrel_checkpoint::Position;
 use std::collections::{BTreeSet, VecDeque};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -21,8 +22,8 @@ const DEATHS_WITHIN: Duration = Duration::from_secs(3600);
 pub(crate) struct Trouble {
     /// A block that caused a panic.
     suspect: Option<Span>,
-    /// Epoch and number of each excluded frame.
-    set_aside: BTreeSet<(u64, u64)>,
+    /// Position of each excluded frame.
+    set_aside: BTreeSet<Position>,
     deaths: u64,
     /// Panics within [`DEATHS_WITHIN`], oldest first.
     recent: VecDeque<Instant>,
@@ -35,10 +36,11 @@ impl Trouble {
             return vec![input];
         };
         let (epoch, first, end) = (rest.header.epoch, rest.header.sequence, rest.end());
+        let position = |sequence| Position { epoch, sequence };
         let mut alone: BTreeSet<u64> = self
             .set_aside
-            .range((epoch, first)..(epoch, end))
-            .map(|(_, frame)| *frame)
+            .range(position(first)..position(end))
+            .map(|excluded| excluded.sequence)
             .collect();
         if let Some(suspect) = self.suspect.filter(|suspect| suspect.epoch == epoch) {
             alone.extend(suspect.from.max(first)..suspect.to.min(end));
@@ -55,7 +57,7 @@ impl Trouble {
             let mut single = rest.clone();
             single.truncate(1);
             rest.skip(1);
-            parts.push(match self.set_aside.contains(&(epoch, frame)) {
+            parts.push(match self.set_aside.contains(&position(frame)) {
                 true => IdentificationInput::gap(frame, frame + 1),
                 false => IdentificationInput::Frames(single),
             });
@@ -83,7 +85,10 @@ impl Trouble {
             self.suspect = Some(frames);
             return None;
         }
-        self.set_aside.insert((epoch, from));
+        self.set_aside.insert(Position {
+            epoch,
+            sequence: from,
+        });
         Some(from)
     }
 

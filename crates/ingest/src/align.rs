@@ -14,6 +14,7 @@
 use spandrel_bus::{
     Block, FrameBlock, Header, NodeClock, Pace, SampleBlock, StreamState, TimeGrid,
 };
+use spandrel_checkpoint::Position;
 
 use crate::counts::{Counts, NodeCounts};
 use crate::layout::Layout;
@@ -187,7 +188,11 @@ impl Alignment {
             } else {
                 Presence::Expected
             };
-            queue.go_on((place.epoch, place.sequence), presence);
+            let position = Position {
+                epoch: place.epoch,
+                sequence: place.sequence,
+            };
+            queue.go_on(position, presence);
         }
         self
     }
@@ -211,7 +216,7 @@ impl Alignment {
     #[must_use]
     pub fn places(&self) -> Vec<NodePlace> {
         let place = |queue: &NodeQueue| {
-            let (epoch, sequence) = queue.position();
+            let Position { epoch, sequence } = queue.position();
             // A node that has ended while samples still wait will deliver these samples again, and
             // its end with them.
             let ended = queue.presence == Presence::Ended && queue.first_ns().is_none();

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use spandrel_bus::{Block, NodeClock, SampleBlock, StreamState};
+use spandrel_checkpoint::Position;
 
 use crate::counts::NodeCounts;
 use crate::sampling_instants::{SamplingInstants, Stamp};
@@ -37,11 +38,11 @@ pub(crate) enum Presence {
 pub(crate) struct NodeQueue {
     ranges: Vec<f64>,
     times_ns: VecDeque<i64>,
-    /// Epoch and sequence number of each waiting sample in the stream of the node.
-    numbers: VecDeque<(u64, u64)>,
+    /// Position of each waiting sample in the stream of the node.
+    positions: VecDeque<Position>,
     values: VecDeque<f64>,
-    /// Epoch and sequence number of the next sample.
-    next: (u64, u64),
+    /// Position of the next sample.
+    next: Position,
     pub(crate) presence: Presence,
     /// Time of the newest sample of the node, usable or not, ns. Earlier frames need not wait for
     /// this node.
@@ -56,9 +57,9 @@ pub(crate) struct NodeQueue {
     pub(crate) deadlines_when_parked: u64,
     /// What has become of the samples of this node.
     pub(crate) counts: NodeCounts,
-    /// Epoch and sequence number of the first sample that the recording does not contain. Samples
-    /// of this epoch before it only determine the sampling instants of the node.
-    resumed_at: (u64, u64),
+    /// Position of the first sample that the recording does not contain. Samples of this epoch
+    /// before it only determine the sampling instants of the node.
+    resumed_at: Position,
     instants: SamplingInstants,
 }
 
@@ -66,12 +67,12 @@ impl NodeQueue {
     pub(crate) fn new(ranges: Vec<f64>, tolerance_ns: i64) -> Self {
         Self {
             instants: SamplingInstants::new(ranges.len(), tolerance_ns),
-            resumed_at: (0, 0),
+            resumed_at: Position::default(),
             ranges,
             times_ns: VecDeque::new(),
-            numbers: VecDeque::new(),
+            positions: VecDeque::new(),
             values: VecDeque::new(),
-            next: (0, 0),
+            next: Position::default(),
             presence: Presence::Expected,
             newest_ns: None,
             epoch: None,
@@ -96,16 +97,16 @@ impl NodeQueue {
         self.times_ns.back().copied()
     }
 
-    /// Returns epoch and sequence number of the first sample that is not yet part of a frame.
-    pub(crate) fn position(&self) -> (u64, u64) {
-        self.numbers.front().copied().unwrap_or(self.next)
+    /// Returns the position of the first sample that is not yet part of a frame.
+    pub(crate) fn position(&self) -> Position {
+        self.positions.front().copied().unwrap_or(self.next)
     }
 
     /// Resumes from a recorded position in the stream of the node.
-    pub(crate) fn go_on(&mut self, (epoch, sequence): (u64, u64), presence: Presence) {
-        self.epoch = Some(epoch);
-        self.next = (epoch, sequence);
-        self.resumed_at = (epoch, sequence);
+    pub(crate) fn go_on(&mut self, position: Position, presence: Presence) {
+        self.epoch = Some(position.epoch);
+        self.next = position;
+        self.resumed_at = position;
         self.presence = presence;
     }
 
@@ -167,7 +168,7 @@ impl NodeQueue {
         self.counts.wrong_clock += parked.iter().map(Block::count).sum::<u64>();
         self.counts.wrong_clock += self.times_ns.len() as u64;
         self.times_ns.clear();
-        self.numbers.clear();
+        self.positions.clear();
         self.values.clear();
         self.give_back();
         self.newest_ns = None;
@@ -179,12 +180,12 @@ impl NodeQueue {
         self.counts.received += block.count();
         self.counts.wrong_clock += block.count();
         self.epoch = Some(block.header.epoch);
-        self.next = (block.header.epoch, block.end());
+        self.next = end_of(block);
     }
 
     /// Returns the number of first samples of a block that the recording contains already.
     pub(crate) fn known(&self, block: &SampleBlock) -> u64 {
-        let (epoch, sequence) = self.resumed_at;
+        let Position { epoch, sequence } = self.resumed_at;
         match block.header.epoch == epoch {
             true => sequence
                 .saturating_sub(block.header.sequence)
@@ -202,7 +203,7 @@ impl NodeQueue {
         let known = self.known(block);
         for (number, sample) in (0..known).zip(block.iter()) {
             let stamp = Stamp {
-                number: (block.header.epoch, block.header.sequence + number),
+                position: position_in(block, number),
                 time_ns: grid.time_ns(number),
             };
             // They were counted when they became part of frames.
@@ -225,7 +226,7 @@ impl NodeQueue {
         for (number, sample) in (0..).zip(block.iter()) {
             let time_ns = grid.time_ns(number);
             let stamp = Stamp {
-                number: (block.header.epoch, block.header.sequence + number),
+                position: position_in(block, number),
                 time_ns,
             };
             if number < known {
@@ -235,7 +236,7 @@ impl NodeQueue {
             // wrong.
             while self.times_ns.back().is_some_and(|last| *last >= time_ns) {
                 self.times_ns.pop_back();
-                self.numbers.pop_back();
+                self.positions.pop_back();
                 self.values.truncate(self.values.len() - self.channels());
                 self.counts.retracted += 1;
             }
@@ -246,7 +247,7 @@ impl NodeQueue {
                 continue;
             }
             self.times_ns.push_back(time_ns);
-            self.numbers.push_back(stamp.number);
+            self.positions.push_back(stamp.position);
             let checked = sample
                 .iter()
                 .zip(&self.ranges)
@@ -255,7 +256,7 @@ impl NodeQueue {
         }
         self.next = match known == block.count() {
             true => self.next,
-            false => (block.header.epoch, block.end()),
+            false => end_of(block),
         };
         self.presence = match block.state {
             StreamState::Running => Presence::Expected,
@@ -280,9 +281,9 @@ impl NodeQueue {
         if let Some(stamp) = self.first()
             && let Some(steps) = self.instants.steps_from(frame_ns, stamp)
         {
-            let stamps = self.numbers.iter().zip(&self.times_ns).skip(1);
-            let next = stamps.map(|(number, time_ns)| Stamp {
-                number: *number,
+            let stamps = self.positions.iter().zip(&self.times_ns).skip(1);
+            let next = stamps.map(|(position, time_ns)| Stamp {
+                position: *position,
                 time_ns: *time_ns,
             });
             self.instants
@@ -297,15 +298,15 @@ impl NodeQueue {
             return;
         };
         self.times_ns.pop_front();
-        self.numbers.pop_front();
+        self.positions.pop_front();
         self.instants
             .pass(stamp, self.values.drain(..self.ranges.len()));
         self.give_back();
     }
 
     fn first(&self) -> Option<Stamp> {
-        let (number, time_ns) = (*self.numbers.front()?, *self.times_ns.front()?);
-        Some(Stamp { number, time_ns })
+        let (position, time_ns) = (*self.positions.front()?, *self.times_ns.front()?);
+        Some(Stamp { position, time_ns })
     }
 
     /// Shrinks the capacity to twice the length if three quarters of it are unused.
@@ -316,8 +317,24 @@ impl NodeQueue {
         }
         let kept = (2 * waiting).max(ROOM_KEPT);
         self.times_ns.shrink_to(kept);
-        self.numbers.shrink_to(kept);
+        self.positions.shrink_to(kept);
         self.values.shrink_to(kept * self.ranges.len());
+    }
+}
+
+/// Returns the position of the sample with this index in a block.
+fn position_in(block: &SampleBlock, index: u64) -> Position {
+    Position {
+        epoch: block.header.epoch,
+        sequence: block.header.sequence + index,
+    }
+}
+
+/// Returns the position after a block.
+fn end_of(block: &SampleBlock) -> Position {
+    Position {
+        epoch: block.header.epoch,
+        sequence: block.end(),
     }
 }
 
@@ -358,7 +375,9 @@ mod tests {
     }
 
     fn room(queue: &NodeQueue) -> usize {
-        queue.values.capacity() * 8 + queue.times_ns.capacity() * 8 + queue.numbers.capacity() * 16
+        queue.values.capacity() * 8
+            + queue.times_ns.capacity() * 8
+            + queue.positions.capacity() * 16
     }
 
     #[test]

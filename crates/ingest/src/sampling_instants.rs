@@ -13,6 +13,7 @@
 use std::collections::VecDeque;
 
 use spandrel_bus::{NodeClock, TimeGrid};
+use spandrel_checkpoint::Position;
 
 /// Number of earlier samples that determine the mean phase. A restart reads as many samples again.
 pub(crate) const WINDOW: u64 = 128;
@@ -29,10 +30,10 @@ const NEGLIGIBLE_STEPS: f64 = 0.01;
 /// is nearer unless the time stamps jitter.
 const LARGEST_STEPS: f64 = 1.0;
 
-/// A sample: epoch and sequence number in the stream of its node, and its time stamp.
+/// A sample: its position in the stream of its node, and its time stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stamp {
-    pub(crate) number: (u64, u64),
+    pub(crate) position: Position,
     pub(crate) time_ns: i64,
 }
 
@@ -43,8 +44,8 @@ pub(crate) struct SamplingInstants {
     rate_hz: f64,
     /// Times of the sample numbers, counted from 0.
     grid: Option<TimeGrid>,
-    /// Number and phase of the latest samples that are evenly spaced, oldest first.
-    past: VecDeque<((u64, u64), i64)>,
+    /// Position and phase of the latest samples that are evenly spaced, oldest first.
+    past: VecDeque<(Position, i64)>,
     /// Largest deviation from the usual phase of a sample that counts for the mean.
     tolerance_ns: i64,
     /// Values of the latest [`HALF_STENCIL`] samples of `past`, oldest first.
@@ -79,7 +80,7 @@ impl SamplingInstants {
     pub(crate) fn pass(&mut self, stamp: Stamp, values: impl Iterator<Item = f64>) {
         self.reach(stamp);
         let phase_ns = self.phase_ns(stamp);
-        self.past.push_back((stamp.number, phase_ns));
+        self.past.push_back((stamp.position, phase_ns));
         self.values.extend(values);
         let excess = self
             .values
@@ -170,12 +171,13 @@ impl SamplingInstants {
         let Some((last, phase_ns)) = self.past.back().copied() else {
             return;
         };
-        let (epoch, sequence) = stamp.number;
+        let Position { epoch, sequence } = stamp.position;
         let jump_ns = self.phase_ns(stamp).abs_diff(phase_ns);
-        if last.0 != epoch || last.1 >= sequence || jump_ns as f64 * self.rate_hz > 0.5e9 {
+        if last.epoch != epoch || last.sequence >= sequence || jump_ns as f64 * self.rate_hz > 0.5e9
+        {
             self.forget();
         }
-        let is_old = |((_, old), _): &((u64, u64), i64)| old.saturating_add(WINDOW) < sequence;
+        let is_old = |(old, _): &(Position, i64)| old.sequence.saturating_add(WINDOW) < sequence;
         while self.past.pop_front_if(|past| is_old(past)).is_some() {}
         let kept = self.past.len() * self.channels;
         let excess = self.values.len().saturating_sub(kept);
@@ -210,25 +212,34 @@ impl SamplingInstants {
     }
 
     fn phase_ns(&self, stamp: Stamp) -> i64 {
-        let counted_ns = self.grid.map_or(0, |grid| grid.time_ns(stamp.number.1));
+        let counted_ns = self
+            .grid
+            .map_or(0, |grid| grid.time_ns(stamp.position.sequence));
         stamp.time_ns.saturating_sub(counted_ns)
     }
 
     /// Returns `true` if `next` is the sample after `last`, and no time is missing between them.
     fn follows(&self, last: Stamp, next: Stamp) -> bool {
         let jump_ns = self.phase_ns(last).abs_diff(self.phase_ns(next));
-        next.number == (last.number.0, last.number.1 + 1) && jump_ns as f64 * self.rate_hz <= 0.5e9
+        let after = Position {
+            sequence: last.position.sequence + 1,
+            ..last.position
+        };
+        next.position == after && jump_ns as f64 * self.rate_hz <= 0.5e9
     }
 
     /// Returns how many of the kept samples directly precede a sample.
     fn contiguous_before(&self, first: Stamp) -> usize {
-        let (epoch, sequence) = first.number;
+        let Position { epoch, sequence } = first.position;
         let kept = self.values.len() / self.channels;
         let newest_first = self.past.iter().rev().take(kept);
-        let expected = (1..).map(|back| (epoch, sequence.wrapping_sub(back)));
+        let expected = (1..).map(|back| Position {
+            epoch,
+            sequence: sequence.wrapping_sub(back),
+        });
         newest_first
             .zip(expected)
-            .take_while(|((number, _), expected)| number == expected)
+            .take_while(|((position, _), expected)| position == expected)
             .count()
     }
 }

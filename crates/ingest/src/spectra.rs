@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 use spandrel_bus::{ChannelSpectrum, FrameBlock, MAX_FREQUENCIES, Name, SpectrumDisplay};
+use spandrel_checkpoint::Position;
 use spandrel_fourier::HannTransform;
 
 use crate::waveforms::NodeChannels;
@@ -38,8 +39,8 @@ pub(crate) struct Spectra {
     /// Number of frames over which windows are averaged, and between two messages.
     averaged: u64,
     every: u64,
-    /// Epoch and number of the next frame.
-    next: Option<(u64, u64)>,
+    /// Position of the next frame.
+    next: Option<Position>,
     channels: Vec<ChannelWindows>,
 }
 
@@ -79,14 +80,15 @@ impl Spectra {
             return; // no block with an invalid rate is published
         };
         let epoch = block.header.epoch;
+        let position = |sequence| Position { epoch, sequence };
         for (number, frame) in block.iter() {
-            if self.next.is_none_or(|(before, _)| before != epoch) {
+            if self.next.is_none_or(|next| next.epoch != epoch) {
                 self.channels.fill(ChannelWindows::default());
-            } else if self.next != Some((epoch, number)) {
+            } else if self.next != Some(position(number)) {
                 let channels = self.channels.iter_mut();
                 channels.for_each(|channel| channel.samples.clear());
             }
-            self.next = Some((epoch, number + 1));
+            self.next = Some(position(number + 1));
             for (place, sample) in frame.iter().enumerate().take(self.channels.len()) {
                 self.push(place, number, *sample);
             }

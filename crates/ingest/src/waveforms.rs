@@ -5,6 +5,7 @@
 use spandrel_bus::{
     ChannelWaveform, FrameBlock, Name, NameError, SampleLevel, TimeGrid, WaveformDisplay,
 };
+use spandrel_checkpoint::Position;
 
 use crate::layout::Layout;
 
@@ -48,8 +49,8 @@ pub(crate) struct Waveforms {
     nodes: Vec<NodeChannels>,
     frames_per_bucket: u64,
     sampling_rate_hz: f64,
-    /// Epoch and number of the next frame. `None` until a message begins.
-    next: Option<(u64, u64)>,
+    /// Position of the next frame. `None` until a message begins.
+    next: Option<Position>,
     channels: Vec<ChannelSamples>,
 }
 
@@ -84,18 +85,19 @@ impl Waveforms {
             return; // no block with an invalid rate is published
         };
         let epoch = block.header.epoch;
+        let position = |sequence| Position { epoch, sequence };
         let length = BUCKETS * self.frames_per_bucket;
         for (number, frame) in block.iter() {
             let row = number % length;
             if row == 0 {
                 self.channels.fill(ChannelSamples::default());
-                self.next = Some((epoch, number));
+                self.next = Some(position(number));
             }
-            if self.next != Some((epoch, number)) {
+            if self.next != Some(position(number)) {
                 self.next = None; // frames are missing, or the epoch has changed
                 continue;
             }
-            self.next = Some((epoch, number + 1));
+            self.next = Some(position(number + 1));
             let bucket = (row / self.frames_per_bucket) as usize;
             for (channel, sample) in self.channels.iter_mut().zip(frame) {
                 channel.push(bucket, *sample);

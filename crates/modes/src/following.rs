@@ -5,6 +5,7 @@ use crate::error::ModesError;
 use crate::stiffness::Stiffnesses;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{Block, Delivery, FrameBlock, Gap, Name, Start, TimeGrid};
+use spandrel_checkpoint::Position;
 use spandrel_modal::EpochStream;
 use spandrel_structure::ModalPlan;
 
@@ -14,7 +15,7 @@ pub(crate) struct Following {
     plan: ModalPlan,
     declared: DeclaredModes,
     epochs: EpochStream,
-    position: Option<Position>,
+    reached: Option<Reached>,
     unidentified: u64,
     /// The used channels of one frame.
     frame: Vec<f64>,
@@ -22,7 +23,7 @@ pub(crate) struct Following {
 
 /// The run of the frames, and the first frame that is not processed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Position {
+struct Reached {
     epoch: u64,
     next: u64,
     /// Time of frame 0 (ns since the Unix epoch, UTC). `None` before the first frames of the run.
@@ -35,7 +36,7 @@ struct Position {
 pub(crate) struct FollowingState {
     declared: DeclaredState,
     epochs: EpochStream,
-    position: Option<Position>,
+    reached: Option<Reached>,
     unidentified: u64,
 }
 
@@ -54,7 +55,7 @@ impl Following {
         Ok(Self {
             declared: DeclaredModes::new(structure, plan)?.updating(stiffnesses),
             epochs: plan.stream()?,
-            position: None,
+            reached: None,
             unidentified: 0,
             frame: vec![f64::NAN; plan.channels.len()],
             plan: plan.clone(),
@@ -65,7 +66,7 @@ impl Following {
         FollowingState {
             declared: self.declared.state(),
             epochs: self.epochs.clone(),
-            position: self.position,
+            reached: self.reached,
             unidentified: self.unidentified,
         }
     }
@@ -82,7 +83,7 @@ impl Following {
             return Err("the state has other modes than the structure file");
         }
         self.epochs = state.epochs;
-        self.position = state.position;
+        self.reached = state.reached;
         self.unidentified = state.unidentified;
         Ok(())
     }
@@ -97,28 +98,30 @@ impl Following {
         self.unidentified
     }
 
-    /// Returns epoch and number of the first frame that is not processed. `None` before the first.
-    pub(crate) fn position(&self) -> Option<(u64, u64)> {
-        self.position
-            .map(|position| (position.epoch, position.next))
+    /// Returns the position of the first frame that is not processed. `None` before the first.
+    pub(crate) fn position(&self) -> Option<Position> {
+        self.reached.map(|reached| Position {
+            epoch: reached.epoch,
+            sequence: reached.next,
+        })
     }
 
     /// Returns the position from which frames are needed.
     pub(crate) fn start(&self) -> Start {
         match self.position() {
-            Some((epoch, sequence)) => Start::At { epoch, sequence },
+            Some(Position { epoch, sequence }) => Start::At { epoch, sequence },
             None => Start::Beginning,
         }
     }
 
     /// Returns the time of the last processed frame (ns since the Unix epoch, UTC).
     pub(crate) fn last_time_ns(&self) -> Option<i64> {
-        let position = self.position?;
-        self.time_ns(position.next.checked_sub(1)?)
+        let reached = self.reached?;
+        self.time_ns(reached.next.checked_sub(1)?)
     }
 
     fn time_ns(&self, frame: u64) -> Option<i64> {
-        let t0_ns = self.position?.t0_ns?;
+        let t0_ns = self.reached?.t0_ns?;
         Some(TimeGrid::new(t0_ns, self.plan.settings.rate_hz)?.time_ns(frame))
     }
 
@@ -134,11 +137,11 @@ impl Following {
     fn take(&mut self, block: &FrameBlock, outputs: &mut Vec<ModesOutput>) {
         let (epoch, first) = (block.header.epoch, block.header.sequence);
         self.enter(epoch);
-        if let Some(position) = &mut self.position {
-            position.t0_ns = Some(block.t0_ns);
+        if let Some(reached) = &mut self.reached {
+            reached.t0_ns = Some(block.t0_ns);
         }
         // The follower delivers a gap before frames that do not continue the previous ones.
-        let next = self.position.map_or(first, |position| position.next);
+        let next = self.reached.map_or(first, |reached| reached.next);
         if next < first {
             let (from, to) = (next, first);
             self.skip(Gap { epoch, from, to }, outputs);
@@ -164,17 +167,14 @@ impl Following {
 
     /// Restarts if the frames belong to another run.
     fn enter(&mut self, epoch: u64) {
-        if self
-            .position
-            .is_some_and(|position| position.epoch == epoch)
-        {
+        if self.reached.is_some_and(|reached| reached.epoch == epoch) {
             return;
         }
-        if let (Some(_), Ok(fresh)) = (self.position, self.plan.stream()) {
+        if let (Some(_), Ok(fresh)) = (self.reached, self.plan.stream()) {
             self.epochs = fresh;
             self.declared.clear();
         }
-        self.position = Some(Position {
+        self.reached = Some(Reached {
             epoch,
             next: 0,
             t0_ns: None,
@@ -182,8 +182,8 @@ impl Following {
     }
 
     fn advance(&mut self, end: u64) {
-        if let Some(position) = &mut self.position {
-            position.next = end;
+        if let Some(reached) = &mut self.reached {
+            reached.next = end;
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::error::ModesError;
 use crate::following::{Following, FollowingState};
 use spandrel_bus::Keys;
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Position, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Remembering};
 use std::collections::BTreeMap;
 use tracing::info;
 
@@ -49,8 +49,7 @@ impl Memory {
         if !is_epoch_over && !self.keeper.is_due() {
             return;
         }
-        if let Some((epoch, sequence)) = core.position() {
-            let position = Position { epoch, sequence };
+        if let Some(position) = core.position() {
             self.keeper.keep(position, core.state(), None).await;
         }
     }

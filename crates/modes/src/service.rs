@@ -272,7 +272,7 @@ impl ModesService {
         let report = Report {
             done: core
                 .and_then(Following::position)
-                .map_or(0, |(_, next)| next),
+                .map_or(0, |at| at.sequence),
             processed_ns: core.and_then(Following::last_time_ns),
             drops,
             ..Report::default()
@@ -283,7 +283,11 @@ impl ModesService {
 
 /// Reports the processed frames. A source can be waiting for the last progress before a restart.
 fn put_progress(progress: &ProgressPublisher, core: &Following) {
-    if let Some((epoch, next)) = core.position() {
-        progress.set(epoch, next, core.last_time_ns().unwrap_or(i64::MIN));
+    if let Some(at) = core.position() {
+        progress.set(
+            at.epoch,
+            at.sequence,
+            core.last_time_ns().unwrap_or(i64::MIN),
+        );
     }
 }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{Block, Delivery, FrameBlock, Start, TimeGrid};
+use spandrel_checkpoint::Position;
 use spandrel_earthquake::{Cut, CutKind, Detected, Detection, DetectionState, Due};
 use std::collections::VecDeque;
 
@@ -116,16 +117,19 @@ impl Cutting {
         Ok(())
     }
 
-    /// Returns epoch and number of the first frame that a recording may still need. `None` before
-    /// the first frame.
-    pub(crate) fn needed_from(&self) -> Option<(u64, u64)> {
-        Some((self.run?.epoch, self.detection.needed_from()))
+    /// Returns the position of the first frame that a recording may still need. `None` before the
+    /// first frame.
+    pub(crate) fn needed_from(&self) -> Option<Position> {
+        Some(Position {
+            epoch: self.run?.epoch,
+            sequence: self.detection.needed_from(),
+        })
     }
 
     /// Returns the position from which frames are needed.
     pub(crate) fn start(&self) -> Start {
         match self.needed_from() {
-            Some((epoch, sequence)) => Start::At { epoch, sequence },
+            Some(Position { epoch, sequence }) => Start::At { epoch, sequence },
             None => Start::Beginning,
         }
     }

@@ -3,7 +3,7 @@
 use crate::cutting::{Cutting, CuttingState};
 use crate::error::ReportsError;
 use spandrel_bus::Keys;
-use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Position, Remembering};
+use spandrel_checkpoint::{Checkpoints, Identity, Keeper, Remembering};
 use spandrel_structure::EarthquakePlan;
 use std::collections::BTreeMap;
 use tracing::info;
@@ -52,8 +52,7 @@ impl Memory {
         if !cutting.detection().is_watching() || !is_due {
             return;
         }
-        if let Some((epoch, sequence)) = cutting.needed_from() {
-            let position = Position { epoch, sequence };
+        if let Some(position) = cutting.needed_from() {
             self.keeper.keep(position, cutting.state(), None).await;
         }
     }

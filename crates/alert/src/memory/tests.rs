@@ -41,7 +41,7 @@ pub(super) fn second_of(state: &mut AlertState, means: [f64; 2]) -> Vec<Alert> {
         excluded: spandrel_bus::Excluded::None,
         sustained_information: Vec::new(),
     };
-    let sequence = state.watch.position().map_or(0, |(_, next)| next);
+    let sequence = state.watch.position().map_or(0, |at| at.sequence);
     let block = EstimateBlock {
         header: Header {
             source: "identify".into(),

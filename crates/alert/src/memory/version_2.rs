@@ -6,6 +6,7 @@
 use std::collections::VecDeque;
 
 use serde::Deserialize;
+use spandrel_checkpoint::Position;
 
 use super::Basis;
 use crate::decision::version_2::{Alert, Decision};
@@ -40,7 +41,7 @@ impl From<AlertState> for super::AlertState {
 struct Watch {
     parameter_count: usize,
     decisions: Vec<Decision>,
-    expected: Option<(u64, u64)>,
+    expected: Option<Position>,
 }
 
 impl From<Watch> for crate::Watch {
@@ -105,7 +106,7 @@ mod tests {
         let state = recalled(&structure(""));
         assert!(state.is_consistent());
         assert_eq!(state.basis.parameters, ["storey-1", "storey-2"]);
-        assert_eq!(state.watch.position().map(|(_, next)| next), Some(800));
+        assert_eq!(state.watch.position().map(|at| at.sequence), Some(800));
         assert_eq!(state.last_time_ns, Some(7_990_000_000));
         assert_is_known(state.watch.standing(1).unwrap());
         assert_eq!(states(state.log), [Pending, Raised, Acknowledged]);

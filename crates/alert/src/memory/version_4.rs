@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use serde::Deserialize;
+use spandrel_checkpoint::Position;
 
 use super::Basis;
 use crate::Alert;
@@ -38,7 +39,7 @@ impl From<AlertState> for super::AlertState {
 struct Watch {
     parameter_count: usize,
     decisions: Vec<Decision>,
-    expected: Option<(u64, u64)>,
+    expected: Option<Position>,
 }
 
 impl From<Watch> for crate::Watch {

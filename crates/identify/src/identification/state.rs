@@ -11,6 +11,7 @@ use crate::estimator::EstimatorState;
 use crate::screening::ScreeningView;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{ClassCalibration, TimeGrid};
+use spandrel_checkpoint::Position;
 use spandrel_faults::SensorCheckState;
 use spandrel_filter::{BandLimit, FilterError};
 
@@ -182,9 +183,12 @@ impl Identification {
         Some(grid.time_ns(stream.next.checked_sub(1)?))
     }
 
-    /// Returns epoch and number of the first frame that is not processed. `None` before the first.
+    /// Returns the position of the first frame that is not processed. `None` before the first.
     #[must_use]
-    pub fn position(&self) -> Option<(u64, u64)> {
-        self.stream.map(|stream| (stream.epoch, stream.next))
+    pub fn position(&self) -> Option<Position> {
+        self.stream.map(|stream| Position {
+            epoch: stream.epoch,
+            sequence: stream.next,
+        })
     }
 }

@@ -43,6 +43,11 @@ fn samples(from: u64, to: u64, pace: Pace) -> SampleBlock {
     }
 }
 
+/// Returns a position of the samples, which have epoch 1.
+fn at(sequence: u64) -> Position {
+    Position { epoch: 1, sequence }
+}
+
 fn run(
     worker: &mut NodeIdentification,
     inputs: impl IntoIterator<Item = NodeInput>,
@@ -589,9 +594,9 @@ fn rereading_missed_samples_restores_the_uninterrupted_state() {
             NodeInput::Samples(samples(40, 60, Pace::Live)),
         ],
     );
-    assert_eq!(undisturbed.position(), Some((1, 60)));
+    assert_eq!(undisturbed.position(), Some(at(60)));
     let mut again = next_life(&undisturbed, worker());
-    assert_eq!((again.position(), again.epoch()), (Some((1, 60)), 6));
+    assert_eq!((again.position(), again.epoch()), (Some(at(60)), 6));
     let past = run(
         &mut again,
         [
@@ -695,7 +700,7 @@ fn reread_samples_wait_for_no_reply() {
         ),
         []
     );
-    assert_eq!((second.awaits(), second.position()), (None, Some((1, 110))));
+    assert_eq!((second.awaits(), second.position()), (None, Some(at(110))));
     let told = run(
         &mut second,
         [NodeInput::Samples(samples(110, 130, Pace::Replayed))],

@@ -10,6 +10,7 @@ use spandrel_bus::{
     Claim, Description, EncodeError, EventKind, Forget, Header, Keep, MAX_MESSAGE_BYTES,
     Message as _, NumberedStream, Question, Service, StateMessage, StreamState,
 };
+use spandrel_checkpoint::Position;
 use spandrel_structure::Structure;
 use std::sync::Arc;
 use std::time::Duration;
@@ -171,13 +172,13 @@ impl IdentifyService {
         in_step_with: Option<Claim>,
     ) -> Result<(), IdentifyError> {
         // Without a checkpoint, the epoch is set by the first frames.
-        let (epoch, first) = core.position().unwrap_or((0, 0));
+        let Position { epoch, sequence } = core.position().unwrap_or_default();
         let stream = NumberedStream {
             key: self.keys.estimates(),
             buffer_key: self.keys.estimates_buffer(),
             source: self.id.to_string(),
             epoch,
-            first,
+            first: sequence,
             state: StreamState::Running,
             keep: KEEP,
         };
@@ -263,17 +264,15 @@ impl IdentifyService {
         let estimates = estimates.lead(&self.bus, term).await?;
         let led = self.led.latest();
         let position = self.core.as_ref().and_then(Identification::position);
-        if let Some((epoch, _)) = position {
+        if let Some(Position { epoch, sequence }) = position {
             let done = led
                 .as_ref()
                 .filter(|led| led.header.epoch == epoch)
                 .map_or(0, |led| led.done);
             estimates.put_again(epoch, done).await?;
-        }
-        if let Some((epoch, done)) = position {
             // A source can be waiting for the last progress, which a failed leader was unable to
             // publish.
-            progress.set(epoch, done, self.last_time_ns.unwrap_or(i64::MIN));
+            progress.set(epoch, sequence, self.last_time_ns.unwrap_or(i64::MIN));
         }
         if let Some(led) = &led {
             held.done(led);
@@ -283,7 +282,7 @@ impl IdentifyService {
         }
         self.awake = Instant::now();
         let what = format!("identification is now led by {claim}");
-        info!(structure = self.keys.structure().as_str(), %claim, why, frame = position.map(|(_, done)| done), "leads");
+        info!(structure = self.keys.structure().as_str(), %claim, why, frame = position.map(|at| at.sequence), "leads");
         self.seat = Seat::Leading(Leading {
             claim,
             token,
@@ -335,7 +334,7 @@ impl IdentifyService {
         let (Seat::Leading(leading), Some(core)) = (&self.seat, &self.core) else {
             return;
         };
-        let (epoch, sequence) = core.position().unwrap_or((0, 0));
+        let Position { epoch, sequence } = core.position().unwrap_or_default();
         let time_ns = self.last_time_ns.unwrap_or(0);
         let header = Header {
             source: self.id.to_string(),

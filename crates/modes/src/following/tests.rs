@@ -70,8 +70,8 @@ fn each_epoch_gives_one_message_per_declared_mode_with_its_time() {
     let [first, second] = [displays[0], displays[2]].map(|display| display.time_ns - t0_ns(1));
     assert_eq!((second - first) as f64, EPOCH_S * 1e9);
     assert_eq!(displays[2].epochs, 2);
-    let (epoch, next) = core.position().unwrap();
-    assert_eq!((epoch, next), (1, TWO_EPOCHS as u64));
+    let reached = core.position().unwrap();
+    assert_eq!((reached.epoch, reached.sequence), (1, TWO_EPOCHS as u64));
     let last_ns = t0_ns(1) + ((TWO_EPOCHS - 1) as f64 / RATE_HZ * 1e9) as i64;
     assert_eq!(core.last_time_ns(), Some(last_ns));
 }
@@ -217,7 +217,11 @@ fn frames_that_no_longer_exist_delay_the_first_epoch() {
         to: 2_000,
     };
     assert_eq!(deliver(&mut core, &Delivery::Gap(gap)), []);
-    assert_eq!(core.position(), Some((1, 2_000)));
+    let reached = Position {
+        epoch: 1,
+        sequence: 2_000,
+    };
+    assert_eq!(core.position(), Some(reached));
     let rest = run(&mut core, 1, &all, 2_000, 128);
     let whole = run(&mut following(), 1, &all, 0, 128);
     let moved_ns = displays(&rest)[0].time_ns - displays(&whole)[0].time_ns;

@@ -98,10 +98,10 @@ fn crash_in_the_middle_of_an_earthquake_changes_no_recording() {
         second.start(),
         Start::At {
             epoch: 1,
-            sequence: needed.1
+            sequence: needed.sequence
         }
     );
-    let from = (needed.1 / 250) * 5;
+    let from = (needed.sequence / 250) * 5;
     let outputs = run(&mut second, 1, from as u32..900);
     assert_eq!(outputs, expected);
 }
