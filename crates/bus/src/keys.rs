@@ -496,192 +496,138 @@ impl Service {
     }
 }
 
-/// All keys of one kind, for access rules.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum KeyFamily {
+/// Declares the families of keys with the part of the keys below the structure: the only list of
+/// both.
+///
+/// `{of}` stands for the name of an item, `{service}` for the name of the service. The second of
+/// the three parts lists the families whose keys name a service.
+macro_rules! key_families {
+    (
+        $($(#[$first_doc:meta])* $first:ident = $first_pattern:literal,)*;
+        $($(#[$doc:meta])* $of_service:ident = $pattern:literal,)*;
+        $($(#[$last_doc:meta])* $last:ident = $last_pattern:literal,)*
+    ) => {
+        /// All keys of one kind, for access rules.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum KeyFamily {
+            $($(#[$first_doc])* $first,)*
+            $($(#[$doc])* $of_service(Service),)*
+            $($(#[$last_doc])* $last,)*
+        }
+
+        impl KeyFamily {
+            /// Returns all families.
+            pub fn all() -> impl Iterator<Item = Self> {
+                let of_services = [$(Self::$of_service),*]
+                    .into_iter()
+                    .flat_map(|of_service| Service::ALL.map(of_service));
+                [$(Self::$first,)* $(Self::$last),*].into_iter().chain(of_services)
+            }
+
+            /// Returns the part of the keys below the structure.
+            fn pattern(self) -> &'static str {
+                match self {
+                    $(Self::$first => $first_pattern,)*
+                    $(Self::$of_service(_) => $pattern,)*
+                    $(Self::$last => $last_pattern,)*
+                }
+            }
+
+            /// Returns the service whose keys these are. `None` if the keys do not name a service.
+            fn service(self) -> Option<Service> {
+                match self {
+                    $(Self::$of_service(service))|* => Some(service),
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+key_families! {
     /// [`Keys::samples`], one per node
-    Samples,
+    Samples = "sensor/{of}/samples",
     /// [`Keys::buffer`], one per node
-    Buffer,
+    Buffer = "sensor/{of}/@buffer",
     /// [`Keys::frames`]
-    Frames,
+    Frames = "frames",
     /// [`Keys::recording`]
-    Recording,
+    Recording = "@recording",
     /// [`Keys::estimates`]
-    Estimates,
+    Estimates = "estimates",
     /// [`Keys::estimates_buffer`]
-    EstimatesBuffer,
+    EstimatesBuffer = "@estimates",
     /// [`Keys::parameter`], one per parameter
-    Parameter,
+    Parameter = "parameter/{of}",
     /// [`Keys::loss`], one per parameter
-    Loss,
+    Loss = "loss/{of}",
     /// [`Keys::noise`], one per noise parameter
-    Noise,
+    Noise = "noise/{of}",
     /// [`Keys::model_class`]
-    ModelClass,
+    ModelClass = "model-class",
     /// [`Keys::fit`]
-    Fit,
+    Fit = "fit",
     /// [`Keys::monitoring`]
-    Monitoring,
+    Monitoring = "monitoring",
     /// [`Keys::local`], one per node
-    Local,
+    Local = "local/{of}",
     /// [`Keys::feedback`], one per node
-    Feedback,
+    Feedback = "feedback/{of}",
     /// [`Keys::node`], one per node
-    Node,
+    Node = "node/{of}",
     /// [`Keys::outlier`], one per channel
-    Outlier,
+    Outlier = "outlier/{of}",
     /// [`Keys::sensor_health`], one per node
-    SensorHealth,
+    SensorHealth = "sensor/{of}/health",
     /// [`Keys::waveform`], one per node
-    Waveform,
+    Waveform = "sensor/{of}/waveform",
     /// [`Keys::spectrum`], one per node
-    Spectrum,
+    Spectrum = "sensor/{of}/spectrum",
     /// [`Keys::condition`], one per condition
-    Condition,
+    Condition = "condition/{of}",
     /// [`Keys::judgement`], one per quantity
-    Judgement,
+    Judgement = "judgement/{of}",
     /// [`Keys::judgement_course`], one per quantity
-    JudgementCourse,
+    JudgementCourse = "judgement/{of}/@course",
     /// [`Keys::report`], one per report
-    Report,
+    Report = "@report/{of}",
     /// [`Keys::mode`], one per declared mode
-    Mode,
+    Mode = "mode/{of}",
     /// [`Keys::event`]
-    Event,
+    Event = "event",
     /// [`Keys::alert`], one per parameter
-    Alert,
+    Alert = "alert/{of}",
     /// [`Keys::acknowledge`], one per parameter
-    Acknowledge,
+    Acknowledge = "alert/{of}/acknowledge",
     /// [`Keys::maintenance`]
-    Maintenance,
+    Maintenance = "maintenance",
     /// [`Keys::annotation`]
-    Annotation,
+    Annotation = "annotation",
     /// [`Keys::simulated`], one per node
-    Simulated,
+    Simulated = "simulated/{of}",
+    ;
     /// [`Keys::progress`] of this service
-    Progress(Service),
+    Progress = "progress/{service}",
     /// [`Keys::status`] of the instances of this service
-    Status(Service),
+    Status = "status/{service}/{of}",
     /// [`Keys::live`] of the instances of this service
-    Live(Service),
+    Live = "live/{service}/{of}",
+    ;
     /// [`Keys::leader`], one per claim
-    Leader,
+    Leader = "leader/identify/{of}",
     /// [`Keys::state`]
-    State,
+    State = "@state",
     /// [`Keys::description`]
-    Description,
+    Description = "description",
     /// [`Keys::history`], one per parameter
-    History,
+    History = "history/{of}",
     /// [`Keys::history_log`]
-    HistoryLog,
+    HistoryLog = "@history-log",
     /// [`Keys::alert_log`]
-    AlertLog,
+    AlertLog = "@alert-log",
 }
 
 impl KeyFamily {
-    /// Returns all families.
-    pub fn all() -> impl Iterator<Item = Self> {
-        let of_services = [Self::Progress, Self::Status, Self::Live]
-            .into_iter()
-            .flat_map(|of_service| Service::ALL.map(of_service));
-        Self::WITHOUT_SERVICE.into_iter().chain(of_services)
-    }
-
-    const WITHOUT_SERVICE: [Self; 36] = [
-        Self::Samples,
-        Self::Buffer,
-        Self::Frames,
-        Self::Recording,
-        Self::Estimates,
-        Self::EstimatesBuffer,
-        Self::Parameter,
-        Self::Loss,
-        Self::Noise,
-        Self::ModelClass,
-        Self::Fit,
-        Self::Monitoring,
-        Self::Local,
-        Self::Feedback,
-        Self::Node,
-        Self::Outlier,
-        Self::SensorHealth,
-        Self::Waveform,
-        Self::Spectrum,
-        Self::Condition,
-        Self::Judgement,
-        Self::JudgementCourse,
-        Self::Report,
-        Self::Mode,
-        Self::Event,
-        Self::Alert,
-        Self::Acknowledge,
-        Self::Maintenance,
-        Self::Annotation,
-        Self::Simulated,
-        Self::Leader,
-        Self::State,
-        Self::Description,
-        Self::History,
-        Self::HistoryLog,
-        Self::AlertLog,
-    ];
-
-    /// Returns the part of the keys below the structure: the only list of their texts.
-    ///
-    /// `{of}` stands for the name of an item, `{service}` for the name of the service.
-    fn pattern(self) -> &'static str {
-        match self {
-            Self::Samples => "sensor/{of}/samples",
-            Self::Buffer => "sensor/{of}/@buffer",
-            Self::Frames => "frames",
-            Self::Recording => "@recording",
-            Self::Estimates => "estimates",
-            Self::EstimatesBuffer => "@estimates",
-            Self::Parameter => "parameter/{of}",
-            Self::Loss => "loss/{of}",
-            Self::Noise => "noise/{of}",
-            Self::ModelClass => "model-class",
-            Self::Fit => "fit",
-            Self::Monitoring => "monitoring",
-            Self::Local => "local/{of}",
-            Self::Feedback => "feedback/{of}",
-            Self::Node => "node/{of}",
-            Self::Outlier => "outlier/{of}",
-            Self::SensorHealth => "sensor/{of}/health",
-            Self::Waveform => "sensor/{of}/waveform",
-            Self::Spectrum => "sensor/{of}/spectrum",
-            Self::Condition => "condition/{of}",
-            Self::Judgement => "judgement/{of}",
-            Self::JudgementCourse => "judgement/{of}/@course",
-            Self::Report => "@report/{of}",
-            Self::Mode => "mode/{of}",
-            Self::Event => "event",
-            Self::Alert => "alert/{of}",
-            Self::Acknowledge => "alert/{of}/acknowledge",
-            Self::Maintenance => "maintenance",
-            Self::Annotation => "annotation",
-            Self::Simulated => "simulated/{of}",
-            Self::Progress(_) => "progress/{service}",
-            Self::Status(_) => "status/{service}/{of}",
-            Self::Live(_) => "live/{service}/{of}",
-            Self::Leader => "leader/identify/{of}",
-            Self::State => "@state",
-            Self::Description => "description",
-            Self::History => "history/{of}",
-            Self::HistoryLog => "@history-log",
-            Self::AlertLog => "@alert-log",
-        }
-    }
-
-    /// Returns the service whose keys these are. `None` if the keys do not name a service.
-    fn service(self) -> Option<Service> {
-        match self {
-            Self::Progress(service) | Self::Status(service) | Self::Live(service) => Some(service),
-            _ => None,
-        }
-    }
-
     /// Returns the key expression of the family.
     ///
     /// `None` for `structure` or `of` selects all structures or all names.
