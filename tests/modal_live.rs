@@ -4,14 +4,13 @@
 use crate::support::{DEADLINE, Process, Record, Site, spandrel, within};
 use serde_json::Value;
 use spandrel_bus::{
-    Event, EventKind, JudgementDisplay, ModeDisplay, ModeState, MonitoringDisplay, Name,
-    ParameterDisplay, Status, Subscription,
+    Bus, Event, EventKind, JudgementDisplay, ModeDisplay, ModeState, MonitoringDisplay, Name,
+    ParameterDisplay, Service, Status, Subscription,
 };
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Command;
-use std::time::Duration;
 
 /// Length of the epochs (s).
 const EPOCH_S: u32 = 100;
@@ -81,6 +80,16 @@ fn assert_equal(live: &Messages, recorded: &Messages) {
     }
     shifts_ns.dedup();
     assert_eq!(shifts_ns.len(), 1, "{shifts_ns:?}");
+}
+
+/// Waits until the service `modes` has processed this much of the record (s).
+async fn wait_for_processed(site: &Site, bus: &Bus, seconds: u32) {
+    let key = site.keys().progress(Service::Modes);
+    let mut progress = bus.watch_progress(key).await.unwrap();
+    let rate_hz = site.structure().modal().unwrap().settings.rate_hz;
+    let frames = (f64::from(seconds) * rate_hz) as u64;
+    let processed = progress.wait_for(|progress| progress.done >= frames);
+    within(&format!("{seconds} s of modes"), processed).await;
 }
 
 fn with_state<'c>(command: &'c mut Command, site: &Site) -> &'c mut Command {
@@ -178,8 +187,8 @@ async fn a_service_that_is_killed_in_an_epoch_gives_the_same_modes() {
     let replay = site.replay(&record, "40");
     let mut live = Messages::new();
     collect(&heard, &mut live, 1, count).await;
-    // About 40 s of the second epoch.
-    tokio::time::sleep(Duration::from_secs(1)).await;
+    let in_the_second_epoch_s = EPOCH_S + 40;
+    wait_for_processed(&site, &bus, in_the_second_epoch_s).await;
     modes.kill();
     let _modes = start("modes", &["--live"]);
     collect(&heard, &mut live, EPOCHS, count).await;
@@ -277,7 +286,7 @@ async fn a_structure_without_a_model_has_its_modes_judgements_and_page() {
     let monitoring: Subscription<MonitoringDisplay> =
         bus.subscribe(keys.monitoring(), 64).await.unwrap();
     let identify: Subscription<Status> = bus
-        .subscribe(keys.statuses(spandrel_bus::Service::Identify), 64)
+        .subscribe(keys.statuses(Service::Identify), 64)
         .await
         .unwrap();
     let sway = Name::new("sway-1").unwrap();
@@ -399,8 +408,8 @@ async fn parameters(
             while frequencies.messages().recv_async().await.unwrap().1.epochs < *epoch {}
         })
         .await;
-        // About 20 s of the next epoch.
-        tokio::time::sleep(Duration::from_millis(500)).await;
+        let in_the_next_epoch_s = *epoch as u32 * UPDATE_EPOCH_S + 40;
+        wait_for_processed(site, &bus, in_the_next_epoch_s).await;
         modes.kill();
         modes = start();
     }
