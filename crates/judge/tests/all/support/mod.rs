@@ -1,25 +1,18 @@
 //! Series for the tests: tables from `shared/data`, and a simulated structure.
 
+use crate::skip::records_or_skip;
 use spandrel_judge::{
     Condition, ConditionKind, Epoch, Judge, Judgement, Quantity, QuantityKind, Season, Settings,
     State,
 };
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// A table: columns of text by name.
 pub struct Table(pub BTreeMap<String, Vec<String>>);
 
 /// Reads a CSV file of `shared/data`, or skips the test.
 pub fn table_or_skip(name: &str) -> Option<Table> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data")
-        .join(name);
-    if !path.exists() {
-        skip(&path);
-        return None;
-    }
-    let text = std::fs::read_to_string(path).unwrap();
+    let text = std::fs::read_to_string(records_or_skip(name)?).unwrap();
     let mut lines = text.lines();
     let names: Vec<&str> = lines.next().unwrap().split(',').collect();
     let mut columns = vec![Vec::new(); names.len()];
@@ -30,14 +23,6 @@ pub fn table_or_skip(name: &str) -> Option<Table> {
     }
     let names = names.into_iter().map(str::to_owned);
     Some(Table(names.zip(columns).collect()))
-}
-
-fn skip(path: &Path) {
-    let why = format!("{} does not exist", path.display());
-    let required = std::env::var_os("REQUIRE_ALL_TESTS").is_some();
-    let permitted = std::env::var_os("WITHOUT_RECORDS").is_some();
-    assert!(!required || permitted, "REQUIRE_ALL_TESTS is set: {why}");
-    println!("skipped: {why}");
 }
 
 impl Table {
