@@ -40,7 +40,7 @@ use crate::{
 
 /// The inputs of a decision.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Input {
+pub enum DecisionInput {
     /// The estimate of a frame with its flags, in order of time.
     Estimate(ParameterEstimate, EstimateFlags),
     /// Some estimates are missing, so the sustain time starts again.
@@ -249,19 +249,23 @@ impl Decision {
     /// Processes one input and appends an alert for each change of state.
     ///
     /// Returns `false` for an acknowledgement if there is nothing to acknowledge.
-    pub fn handle(&mut self, input: Input, alerts: &mut Vec<Alert>) -> bool {
+    pub fn handle(&mut self, input: DecisionInput, alerts: &mut Vec<Alert>) -> bool {
         match input {
-            Input::Estimate(estimate, flags) => self.handle_estimate(estimate, flags, alerts),
-            Input::Gap => self.interrupt(),
-            Input::NewSource => {
+            DecisionInput::Estimate(estimate, flags) => {
+                self.handle_estimate(estimate, flags, alerts)
+            }
+            DecisionInput::Gap => self.interrupt(),
+            DecisionInput::NewSource => {
                 self.interrupt();
                 self.knowledge = Knowledge::Prior;
             }
-            Input::Restart => {
+            DecisionInput::Restart => {
                 self.interrupt();
                 self.restart();
             }
-            Input::Acknowledge(acknowledged) => return self.acknowledge(acknowledged, alerts),
+            DecisionInput::Acknowledge(acknowledged) => {
+                return self.acknowledge(acknowledged, alerts);
+            }
         }
         true
     }

@@ -4,7 +4,7 @@
 //! parameter changes.
 //!
 //! ```
-//! use spandrel_alert::{Decision, Input, ParameterEstimate, Rule, Subject};
+//! use spandrel_alert::{Decision, DecisionInput, ParameterEstimate, Rule, Subject};
 //! use spandrel_bus::{AlertState, EstimateFlags};
 //!
 //! let subject = Subject { parameter: 0, name: "storey-2".into(), quantity: "stiffness".into(), prior_std: 0.3, bounds: (0.1, 2.0) };
@@ -12,7 +12,7 @@
 //! let mut alerts = Vec::new();
 //! for second in 0..=10 {
 //!     let estimate = ParameterEstimate { time_ns: second * 1_000_000_000, mean: 0.86, std: 0.01 };
-//!     decision.handle(Input::Estimate(estimate, EstimateFlags::working()), &mut alerts);
+//!     decision.handle(DecisionInput::Estimate(estimate, EstimateFlags::working()), &mut alerts);
 //! }
 //! assert_eq!(alerts[0].state, AlertState::Pending);
 //! assert_eq!(alerts[1].state, AlertState::Raised);
@@ -67,7 +67,7 @@ pub use baseline::{Baseline, BetweenRecords, ParameterBaseline, RecordSummary, W
 pub use credibility::{
     LossEstimate, ParameterEstimate, ParameterLoss, loss_estimate, probability_of_loss,
 };
-pub use decision::{Decision, Input, Model, Subject};
+pub use decision::{Decision, DecisionInput, Model, Subject};
 pub use error::AlertError;
 pub use learning::{Learning, SpanSummary};
 pub use reference::{Reference, Scatter};

@@ -12,7 +12,7 @@ use spandrel_checkpoint::Position;
 use spandrel_structure::{AlertRule, Parameter, Structure};
 
 use crate::{
-    Alert, AlertError, Baseline, DecidedFrames, Decision, Input, Model, ParameterEstimate,
+    Alert, AlertError, Baseline, DecidedFrames, Decision, DecisionInput, Model, ParameterEstimate,
     ParameterLoss, Reference, Rule, Subject, alert::Acknowledged, decision::Vigilance,
     wording::End,
 };
@@ -229,10 +229,10 @@ impl Watch {
         };
         match self.expected {
             Some(expected) if expected.epoch != start.epoch => {
-                self.handle_all(&Input::NewSource, alerts)
+                self.handle_all(&DecisionInput::NewSource, alerts)
             }
             Some(expected) if expected != start || self.has_shifted(block) => {
-                self.handle_all(&Input::Gap, alerts);
+                self.handle_all(&DecisionInput::Gap, alerts);
             }
             Some(_) | None => {}
         }
@@ -271,7 +271,7 @@ impl Watch {
             .iter_mut()
             .filter(|decision| decision.subject().parameter == parameter)
         {
-            is_taken |= decision.handle(Input::Acknowledge(by.clone()), alerts);
+            is_taken |= decision.handle(DecisionInput::Acknowledge(by.clone()), alerts);
         }
         is_taken
     }
@@ -389,7 +389,7 @@ impl Watch {
 
     fn handle_estimate(&mut self, time_ns: i64, estimate: &Estimate, alerts: &mut Vec<Alert>) {
         if estimate.flags.restarted {
-            self.handle_all(&Input::Restart, alerts);
+            self.handle_all(&DecisionInput::Restart, alerts);
         }
         let flags = match self.is_contradicted_by_modes {
             true => contradicted_by_modes(estimate.flags),
@@ -413,11 +413,11 @@ impl Watch {
             );
             let of_parameter =
                 decision.with_missing_sensor(of_parameter, estimate.excluded, &flags);
-            decision.handle(Input::Estimate(of_parameter, flags), alerts);
+            decision.handle(DecisionInput::Estimate(of_parameter, flags), alerts);
         }
     }
 
-    fn handle_all(&mut self, input: &Input, alerts: &mut Vec<Alert>) {
+    fn handle_all(&mut self, input: &DecisionInput, alerts: &mut Vec<Alert>) {
         for decision in &mut self.decisions {
             decision.handle(input.clone(), alerts);
         }

@@ -39,7 +39,7 @@ impl Decision {
             self.reevaluate(former, model, alerts);
         }
         if model == Model::Changed {
-            self.handle(super::Input::NewSource, alerts);
+            self.handle(super::DecisionInput::NewSource, alerts);
         }
     }
 

@@ -57,12 +57,12 @@ impl Drive {
                 std,
             };
             self.decision
-                .handle(Input::Estimate(estimate, flags), &mut self.alerts);
+                .handle(DecisionInput::Estimate(estimate, flags), &mut self.alerts);
         }
         self
     }
 
-    fn input(&mut self, input: Input) -> &mut Self {
+    fn input(&mut self, input: DecisionInput) -> &mut Self {
         self.decision.handle(input, &mut self.alerts);
         self
     }
@@ -73,7 +73,7 @@ impl Drive {
             note: "crew is under way".into(),
         };
         self.decision
-            .handle(Input::Acknowledge(by), &mut self.alerts)
+            .handle(DecisionInput::Acknowledge(by), &mut self.alerts)
     }
 
     /// Returns the states with their times in s, without revisions.
@@ -268,7 +268,7 @@ fn second_acknowledgement_does_not_replace_the_first() {
     assert!(
         !drive
             .decision
-            .handle(Input::Acknowledge(other), &mut drive.alerts)
+            .handle(DecisionInput::Acknowledge(other), &mut drive.alerts)
     );
     assert_eq!(
         drive
@@ -283,7 +283,7 @@ fn second_acknowledgement_does_not_replace_the_first() {
 
 #[test]
 fn gap_and_restart_reset_a_pending_alert() {
-    for interruption in [Input::Gap, Input::Restart] {
+    for interruption in [DecisionInput::Gap, DecisionInput::Restart] {
         let mut drive = Drive::new(rule());
         drive
             .estimates(0..9, SOFT, SURE)
@@ -298,7 +298,7 @@ fn pending_alert_is_announced_as_normal_after_a_gap() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..9, SOFT, SURE)
-        .input(Input::Gap)
+        .input(DecisionInput::Gap)
         .estimates(9..25, SOUND, SURE);
     assert_eq!(drive.states(), [(Pending, 0), (Normal, 9)]);
 }
@@ -308,9 +308,9 @@ fn raised_alert_stays_through_gap_and_restart() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
-        .input(Input::Gap)
+        .input(DecisionInput::Gap)
         .estimates(100..110, SOFT, SURE)
-        .input(Input::Restart);
+        .input(DecisionInput::Restart);
     drive.estimates(110..200, SOFT, SURE);
     assert_eq!(drive.states(), [(Pending, 0), (Raised, 10)]);
 }
@@ -320,7 +320,7 @@ fn prior_of_a_restarted_filter_clears_no_alert() {
     let mut drive = Drive::new(rule());
     drive
         .estimates(0..11, SOFT, SURE)
-        .input(Input::Restart)
+        .input(DecisionInput::Restart)
         .estimates(11..60, SOUND, 0.3);
     assert_eq!(
         drive.states(),
@@ -353,7 +353,7 @@ fn restart_while_learning_restarts_the_reference() {
     let mut drive = Drive::new(rule().with_learnt_reference(60.0).unwrap());
     drive
         .estimates(0..50, 0.2, 0.01)
-        .input(Input::Restart)
+        .input(DecisionInput::Restart)
         .estimates(50..111, 0.9, 0.01);
     assert_eq!(drive.states(), [(Learns, 0), (Normal, 110)]);
     assert!((drive.alerts[1].reference.unwrap().mean() - 0.9).abs() < 1e-12);

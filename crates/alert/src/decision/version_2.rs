@@ -7,7 +7,7 @@
 use serde::Deserialize;
 use spandrel_bus::{AlertState, EstimateFlags, FitReasons};
 
-use super::{Input, Knowledge};
+use super::{DecisionInput, Knowledge};
 use crate::alert::Acknowledged;
 use crate::motion::Motion;
 use crate::support::{DecidedFrames, Jump, Support};
@@ -50,7 +50,7 @@ impl From<Decision> for crate::Decision {
         };
         // The filter that made those estimates does not continue. The present filter starts from
         // its prior.
-        decision.handle(Input::NewSource, &mut Vec::new());
+        decision.handle(DecisionInput::NewSource, &mut Vec::new());
         decision
     }
 }

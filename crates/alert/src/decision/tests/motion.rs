@@ -149,7 +149,7 @@ fn record_that_is_replayed_does_not_wait_for_the_motion_of_its_first_run() {
     let mut drive = drive(rule());
     drive
         .flagged(500..510, SOUND, SURE, strong(2.0))
-        .input(Input::NewSource)
+        .input(DecisionInput::NewSource)
         .estimates(0..20, SOFT, SURE);
     assert_eq!(drive.states(), [(Pending, 0), (Raised, 10)]);
 }

@@ -463,7 +463,7 @@ fn revisions_come_at_most_once_a_second() {
             std: 0.001,
         };
         drive.decision.handle(
-            Input::Estimate(estimate, EstimateFlags::working()),
+            DecisionInput::Estimate(estimate, EstimateFlags::working()),
             &mut drive.alerts,
         );
     }
