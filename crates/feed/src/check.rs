@@ -9,7 +9,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until};
 
 use crate::connect::{Arrivals, Clocks, read};
-use crate::core_input::Input;
+use crate::core_input::FeedInput;
 use crate::feed::Feed;
 use crate::settings::FeedConfig;
 use crate::shell::TICK;
@@ -107,7 +107,7 @@ pub async fn listen(
                 Some(arrived) => core.handle(arrived.input, arrived.at, &mut outputs),
                 None => break,
             },
-            _ = tick.tick() => core.handle(Input::Tick, clocks.now(), &mut outputs),
+            _ = tick.tick() => core.handle(FeedInput::Tick, clocks.now(), &mut outputs),
             () = &mut end => break,
             () = &mut stop => break,
         }

@@ -42,7 +42,7 @@ pub struct Recorded {
 
 /// An input of the core. `source` and `structure` are indices into the configuration.
 #[derive(Clone, Debug)]
-pub enum Input {
+pub enum FeedInput {
     /// Samples of a source.
     Packets {
         /// The source.

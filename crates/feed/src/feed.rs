@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use spandrel_bus::InstrumentStatus;
 
 use crate::condition_feed::{ConditionFeed, Reading};
-use crate::core_input::{Input, Moment, Output};
+use crate::core_input::{FeedInput, Moment, Output};
 use crate::gap::LostBecause;
 use crate::instrument::Instrument;
 use crate::node_feed::{Arrival, NodeFeed, NodeOutput, Series};
@@ -122,27 +122,27 @@ impl Feed {
     }
 
     /// Processes an input that arrives at `at`, and appends the outputs to `out`.
-    pub fn handle(&mut self, input: Input, at: Moment, out: &mut Vec<Output>) {
+    pub fn handle(&mut self, input: FeedInput, at: Moment, out: &mut Vec<Output>) {
         match input {
-            Input::Packets { source, packets } => {
+            FeedInput::Packets { source, packets } => {
                 for packet in &packets {
                     self.packet(source, packet, at, out);
                 }
                 self.each_node(out, |node, given| node.release(at, given));
             }
-            Input::Malformed { source, fault } => self.error(source, fault, 1, at, out),
-            Input::Dropped { source, messages } => {
+            FeedInput::Malformed { source, fault } => self.error(source, fault, 1, at, out),
+            FeedInput::Dropped { source, messages } => {
                 let why = "messages dropped, because they arrived faster than they can be read";
                 self.error(source, why.to_owned(), messages, at, out);
             }
-            Input::Link { source, link } => {
+            FeedInput::Link { source, link } => {
                 if let Some(state) = self.sources.get_mut(source)
                     && let Some((why, count)) = state.instrument.link(link, at)
                 {
                     out.push(Output::Error { source, why, count });
                 }
             }
-            Input::Recorded {
+            FeedInput::Recorded {
                 structure,
                 recorded,
             } => {
@@ -151,7 +151,7 @@ impl Feed {
                     node.set_recorded(recorded);
                 }
             }
-            Input::Stored {
+            FeedInput::Stored {
                 source,
                 condition,
                 newest_ns,
@@ -164,8 +164,8 @@ impl Feed {
                     state.set_stored(newest_ns);
                 }
             }
-            Input::Tick => self.each_node(out, |node, given| node.tick(at, given)),
-            Input::Stop => self.each_node(out, NodeFeed::stop),
+            FeedInput::Tick => self.each_node(out, |node, given| node.tick(at, given)),
+            FeedInput::Stop => self.each_node(out, NodeFeed::stop),
         }
         self.report_states(at, out);
     }

@@ -55,7 +55,7 @@ mod shell;
 pub use blocks::BLOCK_S;
 pub use calibration::Calibration;
 pub use check::{CheckedChannel, CheckedCondition, CheckedSource, listen};
-pub use core_input::{Input, Link, Moment, Output, Recorded};
+pub use core_input::{FeedInput, Link, Moment, Output, Recorded};
 pub use error::FeedError;
 pub use feed::Feed;
 pub use gap::{GapReport, LostBecause};

@@ -20,7 +20,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use tracing::{info, warn};
 
 use crate::connect::{Arrivals, Arrived, Clocks, read};
-use crate::core_input::{Input, Output};
+use crate::core_input::{FeedInput, Output};
 use crate::error::FeedError;
 use crate::feed::Feed;
 use crate::gap::GapReport;
@@ -246,7 +246,7 @@ impl Part {
         };
         for (structure, recorded) in &recorded {
             let (structure, recorded) = (*structure, *recorded);
-            let input = Input::Recorded {
+            let input = FeedInput::Recorded {
                 structure,
                 recorded,
             };
@@ -284,7 +284,7 @@ impl Part {
         while let Some(Arrived { input, at }) = arrivals.next_now() {
             self.handle_at(input, at).await?;
         }
-        self.handle(Input::Stop).await?;
+        self.handle(FeedInput::Stop).await?;
         self.wait_for_ingest().await;
         self.put_status().await?;
         self.withdraw().await
@@ -313,21 +313,21 @@ impl Part {
                         }
                     }
                 },
-                _ = tick.tick() => self.handle(Input::Tick).await?,
+                _ = tick.tick() => self.handle(FeedInput::Tick).await?,
                 _ = status.tick() => self.put_status().await?,
                 () = &mut *stop => return Ok(()),
             }
         }
     }
 
-    async fn handle(&mut self, input: Input) -> Result<(), FeedError> {
+    async fn handle(&mut self, input: FeedInput) -> Result<(), FeedError> {
         let now = self.clocks.now();
         self.handle_at(input, now).await
     }
 
     async fn handle_at(
         &mut self,
-        input: Input,
+        input: FeedInput,
         at: crate::core_input::Moment,
     ) -> Result<(), FeedError> {
         let mut outputs = Vec::new();

@@ -447,7 +447,7 @@ mod tests {
 
     use super::*;
     use crate::connect::{Arrivals, Clocks};
-    use crate::core_input::Input;
+    use crate::core_input::FeedInput;
     use crate::source_plan::SourceKind;
 
     fn append(path: &Path, text: &str) {
@@ -519,13 +519,13 @@ mod tests {
         let mut links = Vec::new();
         loop {
             match arrivals.next(&[]).await.unwrap().input {
-                Input::Link { link, .. } => {
+                FeedInput::Link { link, .. } => {
                     if matches!(link, Link::Failed { .. }) {
                         append(&path, "{\"a\": 5}\n");
                     }
                     links.push(link);
                 }
-                Input::Packets { packets, .. } => {
+                FeedInput::Packets { packets, .. } => {
                     assert_eq!(packets[0].values, [5.0]);
                     break;
                 }

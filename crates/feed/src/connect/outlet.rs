@@ -6,7 +6,7 @@ use spandrel_service::Clock;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
-use crate::core_input::{Input, Link, Moment};
+use crate::core_input::{FeedInput, Link, Moment};
 use crate::packet::Packet;
 use crate::source_plan::SourceKind;
 
@@ -45,7 +45,7 @@ impl Clocks {
 /// An input with the moment of its arrival.
 #[derive(Debug)]
 pub(crate) struct Arrived {
-    pub(crate) input: Input,
+    pub(crate) input: FeedInput,
     pub(crate) at: Moment,
 }
 
@@ -124,7 +124,7 @@ impl Arrivals {
 
 impl Outlet {
     /// Passes an input on, and waits while the queue is full. Returns `false` if the feed stops.
-    async fn put(&self, input: Input) -> bool {
+    async fn put(&self, input: FeedInput) -> bool {
         let at = self.clocks.now();
         self.queue.send(Arrived { input, at }).await.is_ok()
     }
@@ -133,7 +133,7 @@ impl Outlet {
     pub(crate) async fn packets(&self, packets: Vec<Packet>) -> bool {
         packets.is_empty()
             || self
-                .put(Input::Packets {
+                .put(FeedInput::Packets {
                     source: self.source,
                     packets,
                 })
@@ -142,7 +142,7 @@ impl Outlet {
 
     /// Passes packets on, or drops them if the queue is full. Returns `false` if it is full.
     pub(crate) fn packets_or_drop(&self, packets: Vec<Packet>) -> bool {
-        let input = Input::Packets {
+        let input = FeedInput::Packets {
             source: self.source,
             packets,
         };
@@ -152,7 +152,7 @@ impl Outlet {
 
     /// Reports messages that were dropped. Returns `false` if the queue is full.
     pub(crate) fn dropped(&self, messages: u64) -> bool {
-        let input = Input::Dropped {
+        let input = FeedInput::Dropped {
             source: self.source,
             messages,
         };
@@ -162,7 +162,7 @@ impl Outlet {
 
     /// Reports data that cannot be read.
     pub(crate) async fn malformed(&self, fault: String) -> bool {
-        self.put(Input::Malformed {
+        self.put(FeedInput::Malformed {
             source: self.source,
             fault,
         })
@@ -171,7 +171,7 @@ impl Outlet {
 
     /// Reports a change of the connection.
     pub(crate) async fn link(&self, link: Link) -> bool {
-        self.put(Input::Link {
+        self.put(FeedInput::Link {
             source: self.source,
             link,
         })
@@ -189,7 +189,7 @@ impl Outlet {
     }
 
     /// Passes an input on from a thread without a runtime.
-    pub(crate) fn put_blocking(&self, input: Input) -> bool {
+    pub(crate) fn put_blocking(&self, input: FeedInput) -> bool {
         let at = self.clocks.now();
         self.queue.blocking_send(Arrived { input, at }).is_ok()
     }

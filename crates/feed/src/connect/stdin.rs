@@ -4,7 +4,7 @@ use std::io::Read;
 
 use crate::connect::Outlet;
 use crate::connect::lines::parse_all;
-use crate::core_input::{Input, Link};
+use crate::core_input::{FeedInput, Link};
 use crate::lines::{LineFormat, LineSplitter};
 
 /// Size of a read in bytes.
@@ -18,7 +18,7 @@ pub(crate) async fn read(format: LineFormat, outlet: Outlet) {
     let (source, of_thread) = (outlet.source(), outlet.clone());
     let thread = std::thread::Builder::new().name("stdin".to_owned());
     let spawned = thread.spawn(move || {
-        let link = |link: Link| Input::Link { source, link };
+        let link = |link: Link| FeedInput::Link { source, link };
         of_thread.put_blocking(link(Link::Open));
         let mut splitter = LineSplitter::default();
         let mut bytes = vec![0; READ_BYTES];
@@ -40,10 +40,10 @@ pub(crate) async fn read(format: LineFormat, outlet: Outlet) {
             }
             let (packets, faults) = parse_all(&format, lines);
             for fault in faults {
-                of_thread.put_blocking(Input::Malformed { source, fault });
+                of_thread.put_blocking(FeedInput::Malformed { source, fault });
             }
-            let passed =
-                packets.is_empty() || of_thread.put_blocking(Input::Packets { source, packets });
+            let passed = packets.is_empty()
+                || of_thread.put_blocking(FeedInput::Packets { source, packets });
             if !passed {
                 return;
             }

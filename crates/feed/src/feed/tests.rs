@@ -86,7 +86,7 @@ fn packet(label: &str, number: i64) -> Packet {
 fn send(feed: &mut Feed, packets: &[Packet], at: Moment) -> Vec<Output> {
     let mut out = Vec::new();
     let packets = packets.to_vec();
-    feed.handle(Input::Packets { source: 0, packets }, at, &mut out);
+    feed.handle(FeedInput::Packets { source: 0, packets }, at, &mut out);
     out
 }
 
@@ -158,7 +158,7 @@ fn lost_packet_is_counted_and_reported_to_the_sample() {
     send(&mut feed, &[packet("EHZ", 1)], at(SECOND));
     send(&mut feed, &[packet("EHZ", 2), packet("ENZ", 2)], at(SECOND));
     let mut out = Vec::new();
-    feed.handle(Input::Tick, at(SECOND), &mut out);
+    feed.handle(FeedInput::Tick, at(SECOND), &mut out);
     let expected = GapReport {
         node: 0,
         channel: "roof-1".to_owned(),
@@ -185,9 +185,9 @@ fn losses_that_repeat_are_added_to_one_report() {
         if number % 3 != 1 {
             out.extend(send(&mut feed, &[packet("ENZ", number)], now));
         }
-        feed.handle(Input::Tick, now, &mut out);
+        feed.handle(FeedInput::Tick, now, &mut out);
     }
-    feed.handle(Input::Stop, at(20 * SECOND), &mut out);
+    feed.handle(FeedInput::Stop, at(20 * SECOND), &mut out);
     let reports = lost(&out);
     assert!(reports.len() <= 4, "{reports:?}");
     let samples: u64 = reports.iter().map(|report| report.samples).sum();
@@ -203,7 +203,7 @@ fn samples_lost_while_the_feed_was_stopped_are_reported_per_channel() {
     };
     let mut out = Vec::new();
     feed.handle(
-        Input::Recorded {
+        FeedInput::Recorded {
             structure: 0,
             recorded,
         },
@@ -215,7 +215,7 @@ fn samples_lost_while_the_feed_was_stopped_are_reported_per_channel() {
         &[packet("EHZ", 0), packet("ENZ", 0)],
         at(0),
     ));
-    feed.handle(Input::Tick, at(0), &mut out);
+    feed.handle(FeedInput::Tick, at(0), &mut out);
     let found: Vec<(u64, LostBecause)> = lost(&out)
         .iter()
         .map(|report| (report.samples, report.because))
@@ -247,7 +247,7 @@ fn clock_that_goes_back_begins_an_epoch_without_losing_samples() {
             out.extend(send(&mut feed, &[packet(label, number)], at(now)));
         }
     }
-    feed.handle(Input::Stop, at(now), &mut out);
+    feed.handle(FeedInput::Stop, at(now), &mut out);
     let set_back: Vec<&Output> = out
         .iter()
         .filter(|output| matches!(output, Output::SetBack { .. }))
@@ -281,7 +281,7 @@ fn older_files_of_a_folder_are_dropped_and_begin_no_epoch() {
             out.extend(send(&mut feed, &[packet(label, number)], at(now)));
         }
     }
-    feed.handle(Input::Stop, at(now), &mut out);
+    feed.handle(FeedInput::Stop, at(now), &mut out);
     assert!(blocks(&out).iter().all(|block| block.header.epoch == 7));
     let published: u64 = blocks(&out).iter().map(|block| block.count()).sum();
     assert_eq!(published, 1000);
@@ -301,7 +301,7 @@ fn wrong_rate_stops_the_channel_and_names_both_rates() {
         };
         let now = at(number * SECOND / 2);
         feed.handle(
-            Input::Link {
+            FeedInput::Link {
                 source: 0,
                 link: Link::Open,
             },
@@ -330,14 +330,14 @@ fn unmapped_channel_is_seen_and_disturbs_nothing() {
 fn late_channel_is_reported_and_the_other_is_published() {
     let mut feed = feed();
     let mut out = send(&mut feed, &[packet("EHZ", 0)], at(0));
-    feed.handle(Input::Tick, at(SECOND), &mut out);
+    feed.handle(FeedInput::Tick, at(SECOND), &mut out);
     assert_eq!(
         blocks(&out).iter().map(|block| block.count()).sum::<u64>(),
         25
     );
     out.clear();
     out.extend(send(&mut feed, &[packet("ENZ", 0)], at(SECOND)));
-    feed.handle(Input::Tick, at(SECOND), &mut out);
+    feed.handle(FeedInput::Tick, at(SECOND), &mut out);
     let late = lost(&out);
     assert_eq!((late[0].samples, late[0].because), (25, LostBecause::Late));
 }
@@ -352,7 +352,7 @@ fn conditions_beside_channels_are_returned_once_and_wrong_ones_are_errors() {
         values: vec![tenths],
         clock_quality: None,
     };
-    let stored = Input::Stored {
+    let stored = FeedInput::Stored {
         source: 0,
         condition: 0,
         newest_ns: T0 - SECOND,
@@ -364,7 +364,7 @@ fn conditions_beside_channels_are_returned_once_and_wrong_ones_are_errors() {
         temperature(T0, 215.0),
         temperature(T0 + 1, 9990.0),
     ];
-    let input = Input::Packets { source: 0, packets };
+    let input = FeedInput::Packets { source: 0, packets };
     feed.handle(input, at(0), &mut out);
     let values: Vec<&Output> = out
         .iter()
@@ -418,7 +418,7 @@ fn single_packet_from_the_future_is_dropped_and_costs_no_other_sample() {
     let missing = [("stray-samples", 25), ("undelivered-samples", 25)];
     let counts = missing.map(|(reason, count)| (reason.to_owned(), count));
     assert_eq!(feed.drops(0), counts.into());
-    feed.handle(Input::Stop, at(9 * 25 * STEP), &mut out);
+    feed.handle(FeedInput::Stop, at(9 * 25 * STEP), &mut out);
     let last = blocks(&out).last().copied().unwrap();
     assert_eq!((last.header.epoch, last.end()), (7, 225));
 }
@@ -436,7 +436,7 @@ fn packet_ahead_is_used_if_the_next_one_follows_it_or_does_not_arrive() {
         }
         let before = blocks(&out).iter().map(|block| block.count()).sum::<u64>();
         assert_eq!(before, if has_next { 50 } else { 0 });
-        feed.handle(Input::Tick, at(100 * STEP + 11 * SECOND), &mut out);
+        feed.handle(FeedInput::Tick, at(100 * STEP + 11 * SECOND), &mut out);
         let counts = [("undelivered-samples".to_owned(), 2000)];
         assert_eq!(feed.drops(0), counts.into(), "{has_next}");
         assert_eq!(errors(&out), [""; 0]);
@@ -454,7 +454,7 @@ fn packets_with_gaps_between_them_are_all_used() {
         let both = ["EHZ", "ENZ"].map(|label| packet(label, number));
         out.extend(send(&mut feed, &both, at(number)));
     }
-    feed.handle(Input::Stop, at(SECOND), &mut out);
+    feed.handle(FeedInput::Stop, at(SECOND), &mut out);
     let starts: Vec<i64> = blocks(&out).iter().map(|one| one.header.time_ns).collect();
     let expected = [0, 40, 80, 160].map(|number| T0 + number * 25 * STEP);
     assert_eq!(starts, expected);

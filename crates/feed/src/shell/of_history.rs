@@ -7,7 +7,7 @@ use tokio::time::timeout;
 use tracing::{info, warn};
 
 use super::Part;
-use crate::core_input::Input;
+use crate::core_input::FeedInput;
 
 /// Timeout of a query to the history, and longest wait for the history to appear.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
@@ -24,8 +24,8 @@ pub(super) struct Stored {
 
 impl Stored {
     /// Returns the input of the core.
-    pub(super) fn input(&self) -> Input {
-        Input::Stored {
+    pub(super) fn input(&self) -> FeedInput {
+        FeedInput::Stored {
             source: self.source,
             condition: self.condition,
             newest_ns: self.newest_ns,
