@@ -37,7 +37,7 @@ const PROBE: &str = "viewer.probe";
 
 /// Owner of a key, relative to the party.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Place {
+enum KeyOwner {
     /// Structure and node of the party.
     Own,
     /// Another node of that structure.
@@ -47,16 +47,16 @@ enum Place {
 }
 
 /// A key that a party tries to use.
-type Key = (Place, KeyFamily);
+type Key = (KeyOwner, KeyFamily);
 
-fn key((place, family): Key) -> String {
+fn key((owner, family): Key) -> String {
     let name = |text: &str| Name::new(text).unwrap();
-    let structure = if place == Place::OtherStructure {
+    let structure = if owner == KeyOwner::OtherStructure {
         "other"
     } else {
         "demo"
     };
-    let node = if place == Place::OtherNode {
+    let node = if owner == KeyOwner::OtherNode {
         "floor-1"
     } else {
         "ground"
@@ -74,19 +74,19 @@ fn has_node(family: KeyFamily) -> bool {
 fn keys() -> Vec<Key> {
     let mut keys = Vec::new();
     for family in KeyFamily::all() {
-        keys.push((Place::Own, family));
-        keys.extend(has_node(family).then_some((Place::OtherNode, family)));
-        keys.push((Place::OtherStructure, family));
+        keys.push((KeyOwner::Own, family));
+        keys.extend(has_node(family).then_some((KeyOwner::OtherNode, family)));
+        keys.push((KeyOwner::OtherStructure, family));
     }
     keys
 }
 
 /// Returns `true` if the role of a party is meant to have this right.
-fn is_meant(party: &Party, right: Right, (place, family): Key) -> bool {
-    let in_reach = match place {
-        Place::Own => true,
-        Place::OtherNode => party.node().is_none() || !is_of_node(right, family),
-        Place::OtherStructure => party.structure().is_none(),
+fn is_meant(party: &Party, right: Right, (owner, family): Key) -> bool {
+    let in_reach = match owner {
+        KeyOwner::Own => true,
+        KeyOwner::OtherNode => party.node().is_none() || !is_of_node(right, family),
+        KeyOwner::OtherStructure => party.structure().is_none(),
     };
     in_reach && rights(party.role()).contains(&(right, family))
 }
@@ -363,12 +363,12 @@ fn written(table: &BTreeMap<&str, Seen>) -> String {
     let mut text = format!("| key | {} |\n", PARTIES.map(shown).join(" | "));
     let _ = writeln!(text, "|---|{}", "---|".repeat(PARTIES.len()));
     for tried in keys() {
-        let (place, family) = tried;
+        let (owner, family) = tried;
         let own = Name::new("own").unwrap();
-        let (structure, node) = match place {
-            Place::Own => ("STRUCTURE", "NAME"),
-            Place::OtherNode => ("STRUCTURE", "OTHER"),
-            Place::OtherStructure => ("ELSEWHERE", "NAME"),
+        let (structure, node) = match owner {
+            KeyOwner::Own => ("STRUCTURE", "NAME"),
+            KeyOwner::OtherNode => ("STRUCTURE", "OTHER"),
+            KeyOwner::OtherStructure => ("ELSEWHERE", "NAME"),
         };
         let expression = family.expression(&own, Some(&own), Some(&own));
         let mut chunks: Vec<&str> = expression.split('/').skip(1).collect();

@@ -41,14 +41,14 @@ struct Page {
     first: u64,
     begun: Instant,
     bytes: Vec<u8>,
-    places: Vec<Place>,
+    ends: Vec<BlockEnd>,
     forgotten: usize,
 }
 
 /// End of a block in its page: items and bytes since the start of the page. The publication time is
 /// relative to that of the page.
 #[derive(Clone, Copy, Debug, Default)]
-struct Place {
+struct BlockEnd {
     items: u32,
     bytes: u32,
     after_ms: u32,
@@ -60,7 +60,7 @@ impl Page {
             first,
             begun,
             bytes,
-            places: Vec::new(),
+            ends: Vec::new(),
             forgotten: 0,
         }
     }
@@ -71,14 +71,14 @@ impl Page {
 
     /// Records a block whose bytes are already in the page.
     fn note(&mut self, count: u64, put_at: Instant) {
-        let before = self.places.last().copied().unwrap_or_default();
+        let before = self.ends.last().copied().unwrap_or_default();
         // A page has at most 16 KiB of blocks of at most 65,536 items.
         let items = before
             .items
             .saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
         let after_ms =
             u32::try_from(put_at.duration_since(self.begun).as_millis()).unwrap_or(u32::MAX);
-        self.places.push(Place {
+        self.ends.push(BlockEnd {
             items,
             bytes: self.bytes.len() as u32,
             after_ms,
@@ -86,28 +86,26 @@ impl Page {
     }
 
     fn get(&self, index: usize) -> Option<Kept<'_>> {
-        let place = self.places.get(index)?;
+        let end = self.ends.get(index)?;
         let before = index
             .checked_sub(1)
-            .and_then(|before| self.places.get(before))
+            .and_then(|before| self.ends.get(before))
             .copied()
             .unwrap_or_default();
         Some(Kept {
             sequence: self.first + u64::from(before.items),
-            count: u64::from(place.items - before.items),
-            payload: self
-                .bytes
-                .get(before.bytes as usize..place.bytes as usize)?,
-            put_at: self.begun + Duration::from_millis(place.after_ms.into()),
+            count: u64::from(end.items - before.items),
+            payload: self.bytes.get(before.bytes as usize..end.bytes as usize)?,
+            put_at: self.begun + Duration::from_millis(end.after_ms.into()),
         })
     }
 
     fn end(&self) -> u64 {
-        self.first + self.places.last().map_or(0, |place| u64::from(place.items))
+        self.first + self.ends.last().map_or(0, |end| u64::from(end.items))
     }
 
     fn is_empty(&self) -> bool {
-        self.forgotten == self.places.len()
+        self.forgotten == self.ends.len()
     }
 }
 
@@ -151,7 +149,7 @@ impl KeptBlocks {
     pub(crate) fn back(&self) -> Option<Kept<'_>> {
         self.pages
             .back()
-            .and_then(|page| page.get(page.places.len().checked_sub(1)?))
+            .and_then(|page| page.get(page.ends.len().checked_sub(1)?))
     }
 
     /// Removes the first block.
@@ -166,9 +164,9 @@ impl KeptBlocks {
     /// Removes the last block.
     pub(crate) fn pop_back(&mut self) {
         if let Some(page) = self.pages.back_mut() {
-            page.places.pop();
+            page.ends.pop();
             page.bytes
-                .truncate(page.places.last().map_or(0, |place| place.bytes as usize));
+                .truncate(page.ends.last().map_or(0, |end| end.bytes as usize));
             self.blocks -= 1;
         }
         self.pages.pop_back_if(|page| page.is_empty());
@@ -189,7 +187,7 @@ impl KeptBlocks {
     #[cfg(test)]
     pub(crate) fn bytes(&self) -> usize {
         let of_page =
-            |page: &Page| page.bytes.capacity() + page.places.capacity() * size_of::<Place>();
+            |page: &Page| page.bytes.capacity() + page.ends.capacity() * size_of::<BlockEnd>();
         self.pages.iter().map(of_page).sum::<usize>() + self.pages.capacity() * size_of::<Page>()
     }
 }

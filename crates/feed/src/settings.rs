@@ -282,7 +282,7 @@ impl Reading<'_> {
             .and_then(|(structure, channel)| self.place(&section, structure, channel));
         let calibration = self.calibration(&mut section, label.as_deref(), place.as_ref());
         section.finish(&mut self.mistakes);
-        let Place {
+        let ChannelPlace {
             node,
             position,
             channel,
@@ -324,7 +324,12 @@ impl Reading<'_> {
     }
 
     /// Finds a channel in a structure, and adds its node to the configuration.
-    fn place(&mut self, section: &Section<'_>, structure: usize, channel: String) -> Option<Place> {
+    fn place(
+        &mut self,
+        section: &Section<'_>,
+        structure: usize,
+        channel: String,
+    ) -> Option<ChannelPlace> {
         let of = self.structures.get(structure)?;
         let found = of.nodes().iter().find_map(|node| {
             let position = node.channels().iter().position(|c| c.name() == channel)?;
@@ -357,7 +362,7 @@ impl Reading<'_> {
             self.config.nodes.len() - 1
         });
         let unit = node.channels().get(position)?.quantity().unit();
-        Some(Place {
+        Some(ChannelPlace {
             node: index,
             position,
             channel,
@@ -401,7 +406,7 @@ fn with_client_id(mut kind: SourceKind, name: &str) -> SourceKind {
 }
 
 /// A channel of a structure.
-struct Place {
+struct ChannelPlace {
     node: usize,
     position: usize,
     channel: String,

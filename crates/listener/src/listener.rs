@@ -94,7 +94,7 @@ pub struct Needs {
 /// appears, it queries the latest values of the conditions.
 #[derive(Debug)]
 pub struct Listener {
-    at: Place,
+    at: StructureScope,
     needs: Needs,
     queues: Vec<Box<dyn Queue>>,
     live: Vec<LiveWatch>,
@@ -115,7 +115,7 @@ impl Listener {
         structure: Option<&'a Name>,
         needs: Needs,
     ) -> BoxedFuture<'a, Result<Self, BusError>> {
-        let at = Place {
+        let at = StructureScope {
             bus: bus.clone(),
             root: root.clone(),
             structure: structure.cloned(),
@@ -261,13 +261,13 @@ impl<M: Message + fmt::Debug + Send + 'static> Queue for QueueOf<M> {
 
 /// A structure, or all structures below a root.
 #[derive(Clone, Debug)]
-struct Place {
+struct StructureScope {
     bus: Bus,
     root: Name,
     structure: Option<Name>,
 }
 
-impl Place {
+impl StructureScope {
     fn key(&self, family: K) -> String {
         let (root, structure) = (&self.root, self.structure.as_ref());
         let of_all_services = match family {

@@ -62,7 +62,7 @@ impl RecordedFile {
         let contents = match path.is_dir() {
             true if frame_log_folder::is_there(path)? => frame_log_folder::read(path)?,
             true => Reading::of(options).folder(path)?,
-            false => Reading::of(options).source(Source::open(path)?, &Place::of(path))?,
+            false => Reading::of(options).source(Source::open(path)?, &FileLocation::of(path))?,
         };
         let declared = |channel: RecordedChannel| match options.sampling_rate_hz {
             Some(rate_hz) => channel.with_declared_rate(rate_hz),
@@ -160,14 +160,14 @@ fn fault(path: &Path, format: Format, fault: Fault) -> RecordError {
 
 /// The position of a file: its path, with the names of archives around it, and their number.
 #[derive(Debug, Clone)]
-struct Place {
+struct FileLocation {
     path: PathBuf,
     depth: usize,
     /// The innermost archive around the file.
     archive: Option<(PathBuf, Format)>,
 }
 
-impl Place {
+impl FileLocation {
     fn of(path: &Path) -> Self {
         Self {
             path: path.to_owned(),
@@ -232,8 +232,8 @@ impl<'a> Reading<'a> {
     }
 
     /// Reads the content of a file. Only tables are read row by row.
-    fn source(&self, source: Source<'_>, place: &Place) -> Result<Contents, RecordError> {
-        let path = place.path.as_path();
+    fn source(&self, source: Source<'_>, location: &FileLocation) -> Result<Contents, RecordError> {
+        let path = location.path.as_path();
         let Some(format) = Format::of(source.head(), path) else {
             let path = path.to_owned();
             return Err(match wide_encoding(source.head()) {
@@ -248,43 +248,43 @@ impl<'a> Reading<'a> {
             Format::Table => Ok(Contents {
                 format,
                 channels: table::read(source, path, self.options)
-                    .map_err(|error| place.unreadable_table(error))?,
+                    .map_err(|error| location.unreadable_table(error))?,
                 remarks: Vec::new(),
             }),
-            Format::Gzip | Format::Zip if place.depth >= DEEPEST => Err(fault(
+            Format::Gzip | Format::Zip if location.depth >= DEEPEST => Err(fault(
                 path,
                 format,
                 Fault::of_file(
                     "depth of archives in archives",
-                    place.depth + 1,
+                    location.depth + 1,
                     format!("at most {DEEPEST}"),
                 ),
             )),
             Format::Gzip => {
-                let inner = place.inside(format, path.with_extension(""));
-                let packed = self.packed(source.into_reader(), place);
+                let inner = location.inside(format, path.with_extension(""));
+                let packed = self.packed(source.into_reader(), location);
                 let decoder = flate2::read::MultiGzDecoder::new(packed);
                 let unpacked = Source::new(self.budget.unpacked(decoder));
                 self.source(unpacked.map_err(|error| inner.unreadable(error))?, &inner)
             }
             // An archive has its list of files at the end. A file can be read there without the
             // rest.
-            Format::Zip if place.archive.is_none() => {
-                self.zip(BufReader::new(open_file(path)?), place)
+            Format::Zip if location.archive.is_none() => {
+                self.zip(BufReader::new(open_file(path)?), location)
             }
             _ => {
                 let bytes = source
                     .into_bytes()
-                    .map_err(|error| place.unreadable(error))?;
-                self.bytes(bytes, format, place)
+                    .map_err(|error| location.unreadable(error))?;
+                self.bytes(bytes, format, location)
             }
         }
     }
 
     /// Returns a reader of compressed data. Only the outermost archive is as large as the data on
     /// disk, so that only its bytes count.
-    fn packed<R>(&self, input: R, place: &Place) -> Packed<R> {
-        match place.archive {
+    fn packed<R>(&self, input: R, location: &FileLocation) -> Packed<R> {
+        match location.archive {
             None => self.budget.packed(input),
             Some(_) => UnpackingBudget::of_archive().packed(input),
         }
@@ -295,9 +295,9 @@ impl<'a> Reading<'a> {
         &self,
         bytes: Vec<u8>,
         format: Format,
-        place: &Place,
+        location: &FileLocation,
     ) -> Result<Contents, RecordError> {
-        let refused = |source: Fault| fault(&place.path, format, source);
+        let refused = |source: Fault| fault(&location.path, format, source);
         let mut remarks = Vec::new();
         let channels = match format {
             Format::MiniSeed => mini_seed::read(&bytes).map_err(refused)?,
@@ -306,7 +306,7 @@ impl<'a> Reading<'a> {
             Format::Matlab => {
                 let of_file = UnpackingBudget::of_file();
                 of_file.count_packed(bytes.len() as u64);
-                let budget = match place.archive {
+                let budget = match location.archive {
                     None => &of_file,
                     Some(_) => &self.budget,
                 };
@@ -321,7 +321,7 @@ impl<'a> Reading<'a> {
                 remarks = told;
                 channels
             }
-            Format::Zip => return self.zip(Cursor::new(bytes), place),
+            Format::Zip => return self.zip(Cursor::new(bytes), location),
             // Tables and gzip are streams. A path can be a folder, but bytes cannot.
             Format::Table | Format::Gzip | Format::Folder => Vec::new(),
         };

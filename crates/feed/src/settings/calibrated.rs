@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Place, Reading};
+use super::{ChannelPlace, Reading};
 use crate::calibration::Calibration;
 use crate::section::Section;
 use crate::station_xml::StationXml;
@@ -13,7 +13,7 @@ impl Reading<'_> {
         &mut self,
         section: &mut Section<'_>,
         label: Option<&str>,
-        place: Option<&Place>,
+        place: Option<&ChannelPlace>,
     ) -> Option<Calibration> {
         let mistakes = &mut self.mistakes;
         let is_factor = |number: f64| number != 0.0;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 use std::path::{Path, PathBuf};
 
-use super::{Contents, Place, Reading, fault};
+use super::{Contents, FileLocation, Reading, fault};
 use crate::fault::Fault;
 use crate::source::Source;
 use crate::{Format, RecordError, RecordedChannel};
@@ -33,12 +33,12 @@ impl Reading<'_> {
         let mut members = Members::default();
         for file in folder_files(path)? {
             let source = Source::open(&file)?;
-            let place = Place {
+            let location = FileLocation {
                 depth: 1,
-                ..Place::of(&file)
+                ..FileLocation::of(&file)
             };
             // A file in a folder may unpack as much as if it were read alone.
-            Self::of(self.options).member(&mut members, name_of(&file), source, &place)?;
+            Self::of(self.options).member(&mut members, name_of(&file), source, &location)?;
         }
         members.finish(path, Format::Folder)
     }
@@ -47,9 +47,9 @@ impl Reading<'_> {
     pub(super) fn zip(
         &self,
         input: impl Read + Seek + Send,
-        place: &Place,
+        location: &FileLocation,
     ) -> Result<Contents, RecordError> {
-        let path = place.path.as_path();
+        let path = location.path.as_path();
         let refused = |what: String, error: zip::result::ZipError| {
             fault(
                 path,
@@ -57,7 +57,7 @@ impl Reading<'_> {
                 Fault::of_file(what, format!("damaged ({error})"), "whole"),
             )
         };
-        let mut archive = zip::ZipArchive::new(self.packed(input, place))
+        let mut archive = zip::ZipArchive::new(self.packed(input, location))
             .map_err(|error| refused("archive".to_owned(), error))?;
         if archive.len() > MOST_MEMBERS {
             let found = Fault::of_file(
@@ -79,7 +79,7 @@ impl Reading<'_> {
                 .name()
                 .map_err(|error| refused(format!("name of file {}", index + 1), error))?
                 .into_owned();
-            let inside = place.inside(Format::Zip, path.join(&name));
+            let inside = location.inside(Format::Zip, path.join(&name));
             let unreadable = |error| inside.unreadable(error);
             let stated = member.size();
             let source = Source::new(self.budget.unpacked(member)).map_err(unreadable)?;
@@ -98,14 +98,14 @@ impl Reading<'_> {
         members: &mut Members,
         name: String,
         source: Source<'_>,
-        place: &Place,
+        location: &FileLocation,
     ) -> Result<(), RecordError> {
         // Only the content counts, because an archive may also contain readme files.
         if Format::of_content(source.head()).is_none() {
             members.left_out.push(name);
             return Ok(());
         }
-        let contents = self.source(source, place)?;
+        let contents = self.source(source, location)?;
         let remarks = contents.remarks.into_iter();
         members
             .remarks

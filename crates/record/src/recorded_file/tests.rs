@@ -397,7 +397,8 @@ proptest! {
         };
         let file = [BEGINNINGS[place], &bytes].concat();
         let source = Source::new(Cursor::new(file)).unwrap();
-        let _ = Reading::of(&ReadOptions::default()).source(source, &Place::of(Path::new("x.csv")));
+        let location = FileLocation::of(Path::new("x.csv"));
+        let _ = Reading::of(&ReadOptions::default()).source(source, &location);
     }
 
     #[test]
@@ -406,6 +407,7 @@ proptest! {
         file.extend(if is_big { [1, 0, b'M', b'I'] } else { [0, 1, b'I', b'M'] });
         file.extend(bytes);
         let source = Source::new(Cursor::new(file)).unwrap();
-        let _ = Reading::of(&ReadOptions::default()).source(source, &Place::of(Path::new("x.mat")));
+        let location = FileLocation::of(Path::new("x.mat"));
+        let _ = Reading::of(&ReadOptions::default()).source(source, &location);
     }
 }
