@@ -1,6 +1,6 @@
 use super::*;
 use crate::classes::PersistenceRule;
-use crate::model::ObservationModel;
+use crate::model::{ObservationModel, ProcessModel};
 use crate::noise::{NoiseModel, NoiseParameter, NoiseSettings, NoiseTarget};
 use crate::outlier::OutlierSettings;
 use proptest::prelude::*;
