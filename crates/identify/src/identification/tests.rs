@@ -1,6 +1,8 @@
+use super::frames::MOST_BRIDGED;
+use super::messages::MOST_BYTES;
 use super::*;
 use proptest::prelude::*;
-use spandrel_bus::Excluded;
+use spandrel_bus::{Block, Estimate, EventKind, Excluded, Header, Phase, StreamState};
 use std::path::Path;
 
 fn structure() -> Structure {
