@@ -306,76 +306,37 @@ impl Metrics {
     }
 
     fn add(&self, store: &Store) {
-        let structure = || ("structure", store.about.name.clone());
-        let set = |gauges: &Gauges, key: &'static str, of: &str, value: f64| {
-            gauges
-                .get_or_create(&vec![structure(), (key, of.to_owned())])
-                .set(value);
-        };
+        self.add_estimates(store);
+        self.add_alerts(store);
+        self.add_monitoring(store);
+        self.add_sensors(store);
+        self.add_conditions(store);
+        self.add_judgements(store);
+        self.add_modes(store);
+        self.add_services(store);
+    }
+
+    /// Adds parameters, losses, noise levels, the fit and the model classes.
+    fn add_estimates(&self, store: &Store) {
         for (name, display) in &store.state.parameters {
             let name = name.as_str();
-            set(&self.mean, "parameter", name, display.mean);
-            set(&self.std, "parameter", name, display.std);
+            set(store, &self.mean, "parameter", name, display.mean);
+            set(store, &self.std, "parameter", name, display.std);
         }
         for (name, display) in &store.state.losses {
             let name = name.as_str();
             let probability = display.probability_of_loss;
-            set(&self.reference, "parameter", name, display.reference);
-            set(&self.probability, "parameter", name, probability);
+            set(store, &self.reference, "parameter", name, display.reference);
+            set(store, &self.probability, "parameter", name, probability);
         }
         for (name, display) in &store.state.noise {
-            set(&self.noise, "name", name.as_str(), display.mean);
-            set(&self.noise_std, "name", name.as_str(), display.std);
-        }
-        for (parameter, alert) in &store.state.alerts {
-            for state in AlertState::ALL {
-                let labels = vec![
-                    structure(),
-                    ("parameter", parameter.to_string()),
-                    ("state", state.as_str().to_owned()),
-                ];
-                self.alert
-                    .get_or_create(&labels)
-                    .set(f64::from(u8::from(alert.state == state)));
-            }
-        }
-        for (parameter, alert) in &store.state.alerts {
-            for because in UndecidedBecause::ALL {
-                let labels = vec![
-                    structure(),
-                    ("parameter", parameter.to_string()),
-                    ("reason", because.as_str().to_owned()),
-                ];
-                let holds = alert.undecided_because == Some(because);
-                self.undecided
-                    .get_or_create(&labels)
-                    .set(f64::from(u8::from(holds)));
-            }
-        }
-        // Without a report, nothing proves that damage would be noticed. Without a model, nobody
-        // reports.
-        let monitoring = store.state.monitoring();
-        let state = monitoring.map_or(MonitoringState::Blind, |display| display.state);
-        let reported = MonitoringState::ALL.into_iter();
-        for other in reported.filter(|_| store.about.is_filtered) {
-            set(
-                &self.monitoring,
-                "state",
-                other.as_str(),
-                f64::from(u8::from(other == state)),
-            );
-        }
-        for channel in monitoring.iter().flat_map(|display| &display.channels) {
-            set(
-                &self.channel_used_share,
-                "channel",
-                channel.channel.as_str(),
-                channel.used_share,
-            );
+            set(store, &self.noise, "name", name.as_str(), display.mean);
+            set(store, &self.noise_std, "name", name.as_str(), display.std);
         }
         if let Some(display) = &store.state.fit {
             for verdict in FitVerdict::ALL {
                 set(
+                    store,
                     &self.fit,
                     "verdict",
                     verdict.as_str(),
@@ -385,6 +346,7 @@ impl Metrics {
             for reason in FitReason::ALL {
                 let holds = display.reasons.iter().any(|found| found == reason);
                 set(
+                    store,
                     &self.fit_reason,
                     "reason",
                     reason.as_str(),
@@ -399,26 +361,88 @@ impl Metrics {
             .flat_map(|display| &display.classes)
         {
             set(
+                store,
                 &self.plausibility,
                 "class",
                 &class.class,
                 class.plausibility,
             );
         }
+    }
+
+    /// Adds the states of the alerts.
+    fn add_alerts(&self, store: &Store) {
+        for (parameter, alert) in &store.state.alerts {
+            for state in AlertState::ALL {
+                let labels = vec![
+                    structure(store),
+                    ("parameter", parameter.to_string()),
+                    ("state", state.as_str().to_owned()),
+                ];
+                self.alert
+                    .get_or_create(&labels)
+                    .set(f64::from(u8::from(alert.state == state)));
+            }
+        }
+        for (parameter, alert) in &store.state.alerts {
+            for because in UndecidedBecause::ALL {
+                let labels = vec![
+                    structure(store),
+                    ("parameter", parameter.to_string()),
+                    ("reason", because.as_str().to_owned()),
+                ];
+                let holds = alert.undecided_because == Some(because);
+                self.undecided
+                    .get_or_create(&labels)
+                    .set(f64::from(u8::from(holds)));
+            }
+        }
+    }
+
+    /// Adds the state of the monitoring.
+    fn add_monitoring(&self, store: &Store) {
+        // Without a report, nothing proves that damage would be noticed. Without a model, nobody
+        // reports.
+        let monitoring = store.state.monitoring();
+        let state = monitoring.map_or(MonitoringState::Blind, |display| display.state);
+        let reported = MonitoringState::ALL.into_iter();
+        for other in reported.filter(|_| store.about.is_filtered) {
+            set(
+                store,
+                &self.monitoring,
+                "state",
+                other.as_str(),
+                f64::from(u8::from(other == state)),
+            );
+        }
+        for channel in monitoring.iter().flat_map(|display| &display.channels) {
+            set(
+                store,
+                &self.channel_used_share,
+                "channel",
+                channel.channel.as_str(),
+                channel.used_share,
+            );
+        }
+    }
+
+    /// Adds channels, sensors and distributed nodes.
+    fn add_sensors(&self, store: &Store) {
         for (channel, display) in &store.state.outliers {
             set(
+                store,
                 &self.rejected_share,
                 "channel",
                 channel.as_str(),
                 display.recent_share,
             );
             self.rejected
-                .get_or_create(&vec![structure(), ("channel", channel.to_string())])
+                .get_or_create(&vec![structure(store), ("channel", channel.to_string())])
                 .inc_by(display.rejected);
         }
         for sensor in sensor_states(store) {
             let labels = vec![
-                structure(),
+                structure(store),
                 ("channel", sensor.channel),
                 ("node", sensor.node),
             ];
@@ -437,15 +461,20 @@ impl Metrics {
         }
         for (node, display) in &store.state.nodes {
             set(
+                store,
                 &self.node_distance,
                 "node",
                 node.as_str(),
                 display.distance.unwrap_or(f64::NAN),
             );
         }
+    }
+
+    /// Adds the conditions.
+    fn add_conditions(&self, store: &Store) {
         for condition in conditions(store) {
             let labels = vec![
-                structure(),
+                structure(store),
                 ("condition", condition.name.to_owned()),
                 ("unit", condition.unit.to_owned()),
             ];
@@ -454,6 +483,10 @@ impl Metrics {
                 self.condition_age.get_or_create(&labels).set(age_s);
             }
         }
+    }
+
+    /// Adds the judgements of lasting change.
+    fn add_judgements(&self, store: &Store) {
         for view in judgements(store) {
             let display = view.display;
             let quantity = display.quantity.as_str();
@@ -463,7 +496,7 @@ impl Metrics {
                 .chain(ChangeKind::ALL.map(ChangeKind::as_str))
             {
                 let labels = vec![
-                    structure(),
+                    structure(store),
                     ("quantity", quantity.to_owned()),
                     ("state", word.to_owned()),
                 ];
@@ -471,14 +504,15 @@ impl Metrics {
                 self.judgement.get_or_create(&labels).set(holds);
             }
             if let Some(change) = &display.change {
-                set(&self.lasting_loss, "quantity", quantity, change.loss);
+                set(store, &self.lasting_loss, "quantity", quantity, change.loss);
             }
             if let Some(expectation) = &display.expectation {
                 let share = expectation.ln_evidence / expectation.ln_threshold;
-                set(&self.evidence, "quantity", quantity, share);
+                set(store, &self.evidence, "quantity", quantity, share);
             }
             if let Some(epoch_ns) = display.epoch_ns {
                 set(
+                    store,
                     &self.judged_epoch,
                     "quantity",
                     quantity,
@@ -486,11 +520,15 @@ impl Metrics {
                 );
             }
         }
+    }
+
+    /// Adds the declared modes.
+    fn add_modes(&self, store: &Store) {
         for display in modes(store) {
             let name = display.mode.as_str();
             for state in ModeState::ALL {
                 let labels = vec![
-                    structure(),
+                    structure(store),
                     ("mode", name.to_owned()),
                     ("state", state.as_str().to_owned()),
                 ];
@@ -498,8 +536,14 @@ impl Metrics {
                 self.mode_state.get_or_create(&labels).set(holds);
             }
             let machine = f64::from(u8::from(display.machine));
-            set(&self.mode_machine, "mode", name, machine);
-            set(&self.mode_epoch, "mode", name, display.time_ns as f64 / 1e9);
+            set(store, &self.mode_machine, "mode", name, machine);
+            set(
+                store,
+                &self.mode_epoch,
+                "mode",
+                name,
+                display.time_ns as f64 / 1e9,
+            );
             let Some(estimate) = &display.estimate else {
                 continue;
             };
@@ -509,10 +553,14 @@ impl Metrics {
                 (&self.mode_damping, estimate.damping),
                 (&self.mode_damping_std, estimate.damping_std),
             ] {
-                set(gauges, "mode", name, value);
+                set(store, gauges, "mode", name, value);
             }
         }
-        let whole = vec![structure()];
+    }
+
+    /// Adds the times of the data and the states of the services.
+    fn add_services(&self, store: &Store) {
+        let whole = vec![structure(store)];
         let overview = overview(store);
         if let Some(time_s) = overview.time_s {
             self.time.get_or_create(&whole).set(time_s);
@@ -522,7 +570,7 @@ impl Metrics {
         }
         for (service, id) in &store.state.seen {
             let labels = vec![
-                structure(),
+                structure(store),
                 ("service", service.as_str().to_owned()),
                 ("id", id.to_string()),
             ];
@@ -533,7 +581,7 @@ impl Metrics {
         }
         for ((service, id), status) in store.state.statuses() {
             let labels = vec![
-                structure(),
+                structure(store),
                 ("service", service.as_str().to_owned()),
                 ("id", id.to_string()),
             ];
@@ -559,6 +607,18 @@ impl Metrics {
             }
         }
     }
+}
+
+/// Returns the label of a structure.
+fn structure(store: &Store) -> (&'static str, String) {
+    ("structure", store.about.name.clone())
+}
+
+/// Sets the value of a gauge for one item of a structure.
+fn set(store: &Store, gauges: &Gauges, key: &'static str, of: &str, value: f64) {
+    gauges
+        .get_or_create(&vec![structure(store), (key, of.to_owned())])
+        .set(value);
 }
 
 #[cfg(test)]
