@@ -7,6 +7,7 @@ use crate::section::{Allowed, Section};
 use spandrel_filter::fusion::{
     CovarianceScheme, FeedbackRule, FusionRule, GlobalDetector, Sharing, Weighting,
 };
+use std::ops::Range;
 use toml::Spanned;
 
 /// Values of `identification`: `true` if identification is distributed.
@@ -103,42 +104,16 @@ pub(super) fn read_fusion(
     file: &Section<'_>,
     context: &FusionContext<'_>,
 ) -> Option<FusionPlan> {
-    let FusionContext {
-        rate_hz,
-        nodes,
-        has_classes,
-    } = *context;
     let Some(span) = distributed
         .filter(|distributed| *distributed.get_ref())
         .map(Spanned::span)
     else {
-        if let Some(mut section) = section {
-            let allowed =
-                "must not be given unless identification = \"distributed\" in [structure]";
-            section
-                .diagnostics()
-                .report(section.span(), "fusion", "is given", allowed);
-            section.leave_unread(&[
-                "rate-hz",
-                "rule",
-                "sharing-factor",
-                "feedback",
-                "covariance",
-                "motion",
-                "modes",
-                "samples-per-period",
-                "detector",
-                "screening",
-                "exclusion",
-                "readmission",
-                "weighting",
-                "stale-periods",
-            ]);
-            section.finish();
+        if let Some(section) = section {
+            refuse_fusion(section);
         }
         return None;
     };
-    if has_classes {
+    if context.has_classes {
         let allowed =
             "must not be distributed: model classes need the samples of all nodes in one filter";
         file.diagnostics().report(
@@ -148,6 +123,7 @@ pub(super) fn read_fusion(
             allowed,
         );
     }
+    let (rate_hz, nodes) = (context.rate_hz, context.nodes);
     let mut plan = FusionPlan {
         rate_hz: RATE_HZ,
         rule: FusionRule::default(),
@@ -164,18 +140,64 @@ pub(super) fn read_fusion(
     let fusion_rate = section.number("rate-hz", Allowed::RATE);
     plan.rate_hz = fusion_rate.as_ref().map_or(RATE_HZ, |rate| *rate.get_ref());
     let divides = check_rate(&section, fusion_rate.as_ref(), plan.rate_hz, rate_hz, nodes);
+    plan.rule = read_rule(&mut section);
+    let feedback = section.choice("feedback", &FEEDBACKS);
+    plan.feedback = feedback
+        .as_ref()
+        .map_or(plan.feedback, |feedback| *feedback.get_ref());
+    if let Some(full) = section.choice("covariance", &COVARIANCES) {
+        plan.covariance = if full.into_inner() {
+            CovarianceScheme::Full
+        } else {
+            CovarianceScheme::Identity
+        };
+    }
+    let motion = MotionRead::new(&mut section);
+    plan.motion = motion.plan();
+    if let (MotionPlan::Samples(instants), Some(rate_hz)) =
+        (plan.motion, rate_hz.filter(|_| divides))
+    {
+        motion.check_instants(&section, instants, plan.rate_hz, rate_hz, nodes);
+    }
+    motion.check_keys(&section);
+    motion.check_feedback(&section, feedback.as_ref());
+    motion.check_nodes(&section, nodes);
+    plan.detector = read_detector(&mut section);
+    plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
+    section.finish();
+    Some(plan)
+}
+
+/// Reports that a structure without distributed identification has `[fusion]`.
+fn refuse_fusion(mut section: Section<'_>) {
+    let allowed = "must not be given unless identification = \"distributed\" in [structure]";
+    section
+        .diagnostics()
+        .report(section.span(), "fusion", "is given", allowed);
+    section.leave_unread(&[
+        "rate-hz",
+        "rule",
+        "sharing-factor",
+        "feedback",
+        "covariance",
+        "motion",
+        "modes",
+        "samples-per-period",
+        "detector",
+        "screening",
+        "exclusion",
+        "readmission",
+        "weighting",
+        "stale-periods",
+    ]);
+    section.finish();
+}
+
+fn read_rule(section: &mut Section<'_>) -> FusionRule {
     let rule = section
         .choice("rule", &RULES)
         .map_or(Rule::PriorCorrect, Spanned::into_inner);
     let sharing = section.number("sharing-factor", Allowed::FROM_ONE);
-    plan.rule = match rule {
-        Rule::Published => FusionRule::Published,
-        Rule::PriorCorrect => FusionRule::PriorCorrect(
-            sharing
-                .as_ref()
-                .map_or(Sharing::All, |factor| Sharing::Factor(*factor.get_ref())),
-        ),
-    };
     if let (Rule::Published, Some(sharing)) = (rule, &sharing) {
         let allowed =
             "must not be given together with rule = \"published\", which assumes independent nodes";
@@ -186,47 +208,70 @@ pub(super) fn read_fusion(
             allowed,
         );
     }
-    let feedback = section.choice("feedback", &FEEDBACKS);
-    plan.feedback = feedback
-        .as_ref()
-        .map_or(plan.feedback, |feedback| *feedback.get_ref());
-    let feedback_span = feedback.as_ref().map(Spanned::span);
-    if let Some(full) = section.choice("covariance", &COVARIANCES) {
-        plan.covariance = if full.into_inner() {
-            CovarianceScheme::Full
-        } else {
-            CovarianceScheme::Identity
-        };
-    }
-    let motion = section.choice("motion", &MOTIONS);
-    let motion_span = motion.as_ref().map_or(section.span(), Spanned::span);
-    let motion = motion.map_or(Motion::None, Spanned::into_inner);
-    let modes = section.whole("modes", 1, 10_000);
-    let samples = section.whole("samples-per-period", 1, 10_000);
-    plan.motion = match motion {
-        Motion::None => MotionPlan::None,
-        Motion::Modes => MotionPlan::Modes(modes.as_ref().map(|modes| *modes.get_ref())),
-        Motion::Responses => MotionPlan::Responses,
-        Motion::Samples => MotionPlan::Samples(
-            samples
+    match rule {
+        Rule::Published => FusionRule::Published,
+        Rule::PriorCorrect => FusionRule::PriorCorrect(
+            sharing
                 .as_ref()
-                .map_or(SAMPLES, |samples| *samples.get_ref()),
+                .map_or(Sharing::All, |factor| Sharing::Factor(*factor.get_ref())),
         ),
-    };
-    if let (MotionPlan::Samples(instants), Some(rate_hz)) =
-        (plan.motion, rate_hz.filter(|_| divides))
-    {
+    }
+}
+
+/// What `[fusion]` states about the motion that nodes and station exchange.
+struct MotionRead {
+    motion: Motion,
+    /// Position of the motion, or of the table.
+    span: Range<usize>,
+    modes: Option<Spanned<usize>>,
+    samples: Option<Spanned<usize>>,
+}
+
+impl MotionRead {
+    fn new(section: &mut Section<'_>) -> Self {
+        let motion = section.choice("motion", &MOTIONS);
+        let span = motion.as_ref().map_or(section.span(), Spanned::span);
+        Self {
+            motion: motion.map_or(Motion::None, Spanned::into_inner),
+            span,
+            modes: section.whole("modes", 1, 10_000),
+            samples: section.whole("samples-per-period", 1, 10_000),
+        }
+    }
+
+    fn plan(&self) -> MotionPlan {
+        match self.motion {
+            Motion::None => MotionPlan::None,
+            Motion::Modes => MotionPlan::Modes(self.modes.as_ref().map(|modes| *modes.get_ref())),
+            Motion::Responses => MotionPlan::Responses,
+            Motion::Samples => MotionPlan::Samples(
+                self.samples
+                    .as_ref()
+                    .map_or(SAMPLES, |samples| *samples.get_ref()),
+            ),
+        }
+    }
+
+    /// Checks that the sample instants divide the samples of each node in a fusion period.
+    fn check_instants(
+        &self,
+        section: &Section<'_>,
+        instants: usize,
+        fusion_hz: f64,
+        rate_hz: f64,
+        nodes: &[Node],
+    ) {
         let rates = nodes
             .iter()
             .map(|node| node.sampling_rate_hz().unwrap_or(rate_hz));
-        let uneven = |rate_hz: &f64| {
-            !((rate_hz / plan.rate_hz).round() as u64).is_multiple_of(instants as u64)
-        };
+        let uneven =
+            |rate_hz: &f64| !((rate_hz / fusion_hz).round() as u64).is_multiple_of(instants as u64);
         if let Some(rate_hz) = rates.chain([rate_hz]).find(uneven) {
-            let span = samples.as_ref().map_or(section.span(), Spanned::span);
+            let samples = self.samples.as_ref();
+            let span = samples.map_or(section.span(), Spanned::span);
             let allowed = format!(
                 "must divide {}, the samples of a node in a fusion period, without remainder",
-                (rate_hz / plan.rate_hz).round()
+                (rate_hz / fusion_hz).round()
             );
             let found = if samples.is_some() {
                 format!("is {instants}")
@@ -238,64 +283,67 @@ pub(super) fn read_fusion(
                 .report(span, section.key("samples-per-period"), found, allowed);
         }
     }
-    if let Some(samples) = samples.filter(|_| motion != Motion::Samples) {
-        let allowed = "must not be given unless motion = \"samples\"";
-        section.diagnostics().report(
-            samples.span(),
-            section.key("samples-per-period"),
-            "is given",
-            allowed,
-        );
+
+    /// Checks that only the keys of the chosen motion are given.
+    fn check_keys(&self, section: &Section<'_>) {
+        let samples = self.samples.as_ref();
+        if let Some(samples) = samples.filter(|_| self.motion != Motion::Samples) {
+            let allowed = "must not be given unless motion = \"samples\"";
+            section.diagnostics().report(
+                samples.span(),
+                section.key("samples-per-period"),
+                "is given",
+                allowed,
+            );
+        }
+        let modes = self.modes.as_ref();
+        if let Some(modes) = modes.filter(|_| self.motion != Motion::Modes) {
+            let allowed = "must not be given unless motion = \"modes\"";
+            section
+                .diagnostics()
+                .report(modes.span(), section.key("modes"), "is given", allowed);
+        }
     }
-    if let Some(modes) = modes.filter(|_| motion != Motion::Modes) {
-        let allowed = "must not be given unless motion = \"modes\"";
+
+    /// Checks that the motion contains what the stated feedback needs.
+    fn check_feedback(&self, section: &Section<'_>, feedback: Option<&Spanned<FeedbackRule>>) {
+        let Some(feedback) = feedback else {
+            return;
+        };
+        let (found, allowed) = match (feedback.get_ref(), self.motion) {
+            (FeedbackRule::Reset, motion) if motion != Motion::Modes => (
+                "is \"reset\"",
+                "must be given together with motion = \"modes\", from which the motion is reset",
+            ),
+            (FeedbackRule::None, Motion::Samples) => (
+                "is \"none\"",
+                "must not be \"none\" with motion = \"samples\", which come with the answers",
+            ),
+            _ => return,
+        };
         section
             .diagnostics()
-            .report(modes.span(), section.key("modes"), "is given", allowed);
+            .report(feedback.span(), section.key("feedback"), found, allowed);
     }
-    if let Some(feedback) = feedback.filter(|feedback| *feedback.get_ref() == FeedbackRule::Reset)
-        && motion != Motion::Modes
-    {
-        let allowed = "must be given together with motion = \"modes\", from which the motion is \
-            reset";
-        section.diagnostics().report(
-            feedback.span(),
-            section.key("feedback"),
-            "is \"reset\"",
-            allowed,
-        );
+
+    /// Checks that a node measures what the nodes send.
+    fn check_nodes(&self, section: &Section<'_>, nodes: &[Node]) {
+        let tells = |node: &Node| {
+            node.channels()
+                .iter()
+                .any(|channel| channel.quantity().is_told_as_response())
+        };
+        if self.motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
+            let allowed = "must not be given unless a node measures a displacement, a velocity or \
+                a strain, because nodes send only these";
+            section.diagnostics().report(
+                self.span.clone(),
+                section.key("motion"),
+                "is \"responses\"",
+                allowed,
+            );
+        }
     }
-    if plan.feedback == FeedbackRule::None
-        && motion == Motion::Samples
-        && let Some(span) = &feedback_span
-    {
-        let allowed = "must not be \"none\" with motion = \"samples\", which come with the answers";
-        section.diagnostics().report(
-            span.clone(),
-            section.key("feedback"),
-            "is \"none\"",
-            allowed,
-        );
-    }
-    let tells = |node: &Node| {
-        node.channels()
-            .iter()
-            .any(|channel| channel.quantity().is_told_as_response())
-    };
-    if motion == Motion::Responses && !nodes.is_empty() && !nodes.iter().any(tells) {
-        let allowed = "must not be given unless a node measures a displacement, a velocity or a \
-            strain, because nodes send only these";
-        section.diagnostics().report(
-            motion_span,
-            section.key("motion"),
-            "is \"responses\"",
-            allowed,
-        );
-    }
-    plan.detector = read_detector(&mut section);
-    plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
-    section.finish();
-    Some(plan)
 }
 
 /// Reads the station's test of the nodes. Keys that the chosen test does not use are mistakes.
