@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use spandrel_bus::{
-    Block, BoxedFuture, Delivery, Event, EventKind, Forget, FrameBlock, Keep, Keys, LiveToken,
+    Block, BoxedFuture, Bus, Delivery, Event, EventKind, Forget, FrameBlock, Keep, Keys, LiveToken,
     LiveWatch, NumberedPublisher, NumberedStream, Older, Pace, ProgressPublisher, Reading,
     SampleBlock, Service, Start, StreamCounts, StreamGroup, StreamState,
 };
@@ -20,7 +20,7 @@ use crate::block_watch::{BlockReport, BlockWatch};
 use crate::displays::Displays;
 use crate::drop_watch::{DropReport, DropWatch};
 use crate::error::IngestError;
-use crate::layout::Layout;
+use crate::layout::{Layout, NodeLayout};
 use crate::missing_share::MissingShare;
 use crate::quality_watch::QualityWatch;
 use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
@@ -153,6 +153,92 @@ pub struct IngestService {
     token: LiveToken,
 }
 
+/// Where the service begins.
+struct Beginning {
+    core: Alignment,
+    stream: NumberedStream,
+    /// Position of each node. Empty without recorded frames.
+    places: Vec<NodePlace>,
+    done: u64,
+    last_time_ns: Option<i64>,
+}
+
+impl Beginning {
+    /// Resumes from the recorded frames, and reports them as processed.
+    fn after(self, past: Past, keys: &Keys, progress: &ProgressPublisher) -> Self {
+        let Self {
+            core,
+            mut stream,
+            mut done,
+            ..
+        } = self;
+        let Past {
+            last,
+            nodes,
+            is_whole,
+        } = past;
+        let last_time_ns = last
+            .grid()
+            .zip(last.end().checked_sub(1))
+            .map(|(grid, number)| grid.time_ns(number));
+        let core = if is_whole {
+            (stream.epoch, stream.first, stream.state) =
+                (last.header.epoch, last.end(), last.state);
+            done = last.end();
+            core.going_on(&last, &nodes)
+        } else {
+            core.beginning_after(&last, &nodes)
+        };
+        info!(
+            structure = keys.structure().as_str(),
+            frame = last.end(),
+            is_new_epoch = !is_whole,
+            "resuming where the recording ended"
+        );
+        // Sources may be waiting for progress that this service made but could not publish before
+        // it was killed.
+        progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
+        Self {
+            core,
+            stream,
+            places: nodes,
+            done,
+            last_time_ns,
+        }
+    }
+}
+
+/// Returns how the samples of each node are read. `places` are the positions of the nodes, empty
+/// for the beginning of all samples.
+fn readings(
+    bus: &Bus,
+    keys: &Keys,
+    layout: &Layout,
+    places: &[NodePlace],
+) -> Vec<Reading<SampleBlock>> {
+    let reading = |(position, node): (usize, &NodeLayout)| {
+        let start = match places.get(position) {
+            Some(place) => Start::At {
+                epoch: place.epoch,
+                sequence: place.read_from(),
+            },
+            None => Start::Beginning,
+        };
+        let source = node.name.to_string();
+        let is_of_node = move |block: &SampleBlock| match block.header.source == source {
+            true => Ok(()),
+            false => Err("foreign-blocks"),
+        };
+        Reading {
+            key: keys.samples(&node.name),
+            buffer_key: keys.buffer(&node.name),
+            settings: bus.reading(start),
+            check: Box::new(is_of_node),
+        }
+    };
+    layout.nodes().iter().enumerate().map(reading).collect()
+}
+
 impl spandrel_service::Service for IngestService {
     type Plan = IngestPlan;
     type Error = IngestError;
@@ -232,7 +318,7 @@ impl IngestService {
             let epoch = past
                 .as_ref()
                 .map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
-            let mut stream = NumberedStream {
+            let stream = NumberedStream {
                 key: keys.frames(),
                 buffer_key: keys.recording(),
                 source: id.to_string(),
@@ -245,41 +331,26 @@ impl IngestService {
                     Keep::last(FRAMES_KEPT)
                 },
             };
-            let mut core = Alignment::new(layout.clone(), id.to_string(), epoch);
-            let mut places: Vec<NodePlace> = Vec::new();
+            let beginning = Beginning {
+                core: Alignment::new(layout.clone(), id.to_string(), epoch),
+                stream,
+                places: Vec::new(),
+                done: 0,
+                last_time_ns: None,
+            };
             let progress = bus
                 .publish_progress(keys.progress(Service::Ingest), id.to_string())
                 .await?;
-            let (mut done, mut last_time_ns) = (0, None);
-            if let Some(Past {
-                last,
-                nodes,
-                is_whole,
-            }) = past
-            {
-                last_time_ns = last
-                    .grid()
-                    .zip(last.end().checked_sub(1))
-                    .map(|(grid, number)| grid.time_ns(number));
-                if is_whole {
-                    (stream.epoch, stream.first, stream.state) =
-                        (last.header.epoch, last.end(), last.state);
-                    done = last.end();
-                    core = core.going_on(&last, &nodes);
-                } else {
-                    core = core.beginning_after(&last, &nodes);
-                }
-                info!(
-                    structure = keys.structure().as_str(),
-                    frame = last.end(),
-                    is_new_epoch = !is_whole,
-                    "resuming where the recording ended"
-                );
-                places = nodes;
-                // Sources may be waiting for progress that this service made but could not publish
-                // before it was killed.
-                progress.set(stream.epoch, done, last_time_ns.unwrap_or(i64::MIN));
-            }
+            let Beginning {
+                core,
+                stream,
+                places,
+                done,
+                last_time_ns,
+            } = match past {
+                Some(past) => beginning.after(past, &keys, &progress),
+                None => beginning,
+            };
             let older = recorder.as_ref().map(|recorder| Older {
                 archive: Arc::new(recorder.archive()),
                 recent: FRAMES_KEPT,
@@ -287,35 +358,14 @@ impl IngestService {
             let frames = bus.publish_archived(stream, older).await?;
             let rate_hz = layout.sampling_rate_hz();
             let displays = Displays::start(bus, &keys, shown, rate_hz).await?;
-            let mut nodes = Vec::new();
-            for (position, node) in layout.nodes().iter().enumerate() {
-                let start = match places.get(position) {
-                    Some(place) => Start::At {
-                        epoch: place.epoch,
-                        sequence: place.read_from(),
-                    },
-                    None => Start::Beginning,
-                };
-                let settings = bus.reading(start);
-                let source = node.name.to_string();
-                let is_of_node = move |block: &SampleBlock| match block.header.source == source {
-                    true => Ok(()),
-                    false => Err("foreign-blocks"),
-                };
-                nodes.push(Reading {
-                    key: keys.samples(&node.name),
-                    buffer_key: keys.buffer(&node.name),
-                    settings,
-                    check: Box::new(is_of_node),
-                });
-            }
-            let node_count = nodes.len();
+            let readings = readings(bus, &keys, &layout, &places);
+            let node_count = readings.len();
             let allowed = match waiting {
                 FrameWait::Unlimited => None,
                 FrameWait::Limited(allowed) => Some(allowed),
             };
             let nodes = bus
-                .follow_group(nodes, bus.reading(Start::Beginning).deliveries)
+                .follow_group(readings, bus.reading(Start::Beginning).deliveries)
                 .await?;
             let service = Self {
                 core,
