@@ -105,6 +105,17 @@ struct AlertTopic {
     is_published: bool,
 }
 
+impl AlertTopic {
+    async fn declare(bus: &Bus, keys: &Keys, parameter: Name) -> Result<Self, AlertError> {
+        Ok(Self {
+            publisher: bus.publish_latest(keys.alert(&parameter)).await?,
+            losses: bus.publish_display(keys.loss(&parameter)).await?,
+            parameter,
+            is_published: false,
+        })
+    }
+}
+
 impl spandrel_service::Service for AlertService {
     type Plan = AlertPlan;
     type Error = AlertError;
@@ -157,44 +168,19 @@ impl AlertService {
                 log,
                 last_time_ns,
             } = state;
-            let model_check = match ModelCheck::new(structure)? {
-                Some(mut check) => {
-                    if watch.was_contradicted_by_modes() {
-                        check.resume_contradicted();
-                        watch.set_contradicting_modes(check.contradicting());
-                    }
-                    Some((check, bus.subscribe(keys.all_modes(), MODES_WAITING).await?))
-                }
-                None => None,
-            };
+            let model_check = compare_modes(structure, &mut watch, bus, keys).await?;
             let start = match watch.position() {
                 Some(Position { epoch, sequence }) => Start::At { epoch, sequence },
                 None => Start::Beginning,
             };
             let mut alerts = Vec::new();
             for parameter in &basis.parameters {
-                let parameter = name(parameter)?;
-                let publisher = bus.publish_latest(keys.alert(&parameter)).await?;
-                let losses = bus.publish_display(keys.loss(&parameter)).await?;
-                alerts.push(AlertTopic {
-                    parameter,
-                    publisher,
-                    losses,
-                    is_published: false,
-                });
+                alerts.push(AlertTopic::declare(bus, keys, name(parameter)?).await?);
             }
             let acknowledgements = bus
                 .subscribe(keys.all_acknowledgements(), ACKNOWLEDGEMENTS_WAITING)
                 .await?;
-            // A restarted identify service has the missing estimates or computes them again, so the
-            // reader waits for them.
-            let settings = bus.reading(start).patient();
             let parameters = structure.parameters().len();
-            let is_of_structure =
-                move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
-                    true => Ok(()),
-                    false => Err("estimates-of-another-structure"),
-                };
             let progress = bus
                 .publish_progress(keys.progress(Service::Alert), id.to_string())
                 .await?;
@@ -205,14 +191,7 @@ impl AlertService {
                 at.sequence
             });
             let service = Self {
-                estimates: bus
-                    .follow_fit(
-                        keys.estimates(),
-                        keys.estimates_buffer(),
-                        settings,
-                        is_of_structure,
-                    )
-                    .await?,
+                estimates: follow_estimates(parameters, bus, keys, start).await?,
                 acknowledgements,
                 progress,
                 status: instance.publish_status(Service::Alert, keys).await?,
@@ -683,6 +662,45 @@ fn begin(
         memory.keep(&state);
     }
     Ok(state)
+}
+
+/// Starts to compare the measured modes with the model. Returns `None` if the structure declares
+/// none.
+async fn compare_modes(
+    structure: &Structure,
+    watch: &mut Watch,
+    bus: &Bus,
+    keys: &Keys,
+) -> Result<Option<(ModelCheck, Subscription<ModeDisplay>)>, AlertError> {
+    let Some(mut check) = ModelCheck::new(structure)? else {
+        return Ok(None);
+    };
+    if watch.was_contradicted_by_modes() {
+        check.resume_contradicted();
+        watch.set_contradicting_modes(check.contradicting());
+    }
+    let modes = bus.subscribe(keys.all_modes(), MODES_WAITING).await?;
+    Ok(Some((check, modes)))
+}
+
+/// Reads the estimates of this number of parameters, and rejects others.
+async fn follow_estimates(
+    parameters: usize,
+    bus: &Bus,
+    keys: &Keys,
+    start: Start,
+) -> Result<Stream<EstimateBlock>, AlertError> {
+    // A restarted identify service has the missing estimates or computes them again, so the reader
+    // waits for them.
+    let settings = bus.reading(start).patient();
+    let is_of_structure =
+        move |block: &EstimateBlock| match usize::from(block.parameters) == parameters {
+            true => Ok(()),
+            false => Err("estimates-of-another-structure"),
+        };
+    let (key, buffer_key) = (keys.estimates(), keys.estimates_buffer());
+    let estimates = bus.follow_fit(key, buffer_key, settings, is_of_structure);
+    Ok(estimates.await?)
 }
 
 fn name(text: &str) -> Result<Name, AlertError> {
