@@ -31,7 +31,7 @@ use spandrel_bus::{
     NoiseDisplay, OutlierDisplay, ParameterDisplay, SensorHealthDisplay,
 };
 use spandrel_faults::SensorCheck;
-use spandrel_filter::BandLimit;
+use spandrel_filter::{BandLimit, FilterError};
 use spandrel_structure::{EstimatedResponse, Excitation, Quantity, Structure};
 use spikes::Spikes;
 use sudden::SuddenFaults;
@@ -191,6 +191,44 @@ fn hearing_of(structure: &Structure, channel: Option<usize>) -> Hearing {
     Hearing::new(measured.is_some_and(|channel| channel.quantity() == Quantity::Force))
 }
 
+/// Returns the declared band limit, if any.
+fn band_limit_of(structure: &Structure) -> Result<Option<BandLimit>, FilterError> {
+    let Some(limit) = structure.band_limit() else {
+        return Ok(None);
+    };
+    let (rate_hz, channels) = (structure.sampling_rate_hz(), structure.channel_count());
+    BandLimit::low_pass(limit.order, limit.frequency_hz, rate_hz, channels).map(Some)
+}
+
+/// Returns the search for sudden faults in its initial state.
+fn sudden_faults_of(structure: &Structure) -> SuddenFaults {
+    let noise = structure
+        .channels()
+        .map(|channel| channel.noise_std().powi(2));
+    let noise: Vec<f64> = noise.collect();
+    let of_rows = structure.observation_channels().iter();
+    SuddenFaults::new(
+        of_rows.map(|channel| noise[*channel]).collect(),
+        structure.fundamental_period_s(),
+        structure.sampling_rate_hz(),
+    )
+}
+
+/// Returns the names of the components of the excitation, with the channels that measure them, if
+/// any.
+fn excitation_names_of(structure: &Structure) -> Vec<(String, Option<String>)> {
+    structure
+        .excitations()
+        .iter()
+        .flat_map(component_names)
+        .zip(structure.excitation_channels())
+        .map(|(name, channel)| {
+            let channel = channel.and_then(|channel| structure.channels().nth(channel));
+            (name, channel.map(|channel| channel.name().to_owned()))
+        })
+        .collect()
+}
+
 /// Position in the current epoch of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Stream {
@@ -252,18 +290,7 @@ impl Identification {
             structure: structure.name().to_owned(),
             source,
         })?;
-        let band_limit = structure
-            .band_limit()
-            .map(|limit| {
-                BandLimit::low_pass(
-                    limit.order,
-                    limit.frequency_hz,
-                    structure.sampling_rate_hz(),
-                    channels,
-                )
-            })
-            .transpose()
-            .map_err(refused)?;
+        let band_limit = band_limit_of(structure).map_err(refused)?;
         let parameter_names = structure
             .parameters()
             .iter()
@@ -291,23 +318,11 @@ impl Identification {
             structure.excitation_channels().len(),
             check.window_s() * structure.sampling_rate_hz(),
         );
-        let noise = structure
-            .channels()
-            .map(|channel| channel.noise_std().powi(2));
-        let noise: Vec<f64> = noise.collect();
-        let of_rows = structure.observation_channels().iter();
-        let sudden = SuddenFaults::new(
-            of_rows.map(|channel| noise[*channel]).collect(),
-            structure.fundamental_period_s(),
-            structure.sampling_rate_hz(),
-        );
+        let observed = structure.observation_channels().iter();
         let screening = match estimator.outliers() {
-            Some(_) => {
-                let channels = structure.observation_channels().iter();
-                let views =
-                    channels.map(|channel| ScreeningView::new(channel_names[*channel].clone()));
-                views.collect()
-            }
+            Some(_) => observed
+                .map(|channel| ScreeningView::new(channel_names[*channel].clone()))
+                .collect(),
             None => Vec::new(),
         };
         Ok(Self {
@@ -347,20 +362,11 @@ impl Identification {
                 .collect(),
             reliability: Reliability::new(structure),
             recent,
-            sudden,
+            sudden: sudden_faults_of(structure),
             recovery: Recovery::default(),
             half_life: structure.half_life_s() * structure.sampling_rate_hz(),
             last_values: vec![f64::NAN; channels],
-            excitation_names: structure
-                .excitations()
-                .iter()
-                .flat_map(component_names)
-                .zip(structure.excitation_channels())
-                .map(|(name, channel)| {
-                    let channel = channel.and_then(|channel| structure.channels().nth(channel));
-                    (name, channel.map(|channel| channel.name().to_owned()))
-                })
-                .collect(),
+            excitation_names: excitation_names_of(structure),
             since_clipped: None,
             check,
             spikes: Spikes::default(),
