@@ -91,28 +91,6 @@ const IDENTIFIED: [KeyFamily; 15] = [
 /// its rights only on keys with its own name.
 #[must_use]
 pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
-    let each = |right: Right, families: &[KeyFamily]| {
-        families
-            .iter()
-            .map(|family| (right, *family))
-            .collect::<Vec<_>>()
-    };
-    let of_service = |service: Service| {
-        vec![
-            (Right::Put, K::Status(service)),
-            (Right::Announce, K::Live(service)),
-        ]
-    };
-    let watch_all = || {
-        Service::ALL
-            .map(|service| (Right::Watch, K::Live(service)))
-            .to_vec()
-    };
-    let progress = |right: Right| {
-        Service::ALL
-            .map(|service| (right, K::Progress(service)))
-            .to_vec()
-    };
     let mut all = match role {
         Role::Router | Role::Database => Vec::new(),
         Role::Server => [
@@ -125,156 +103,11 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
         ]
         .map(rights)
         .concat(),
-        Role::Worker => [
-            each(
-                Right::Subscribe,
-                &[K::Samples, K::Frames, K::Local, K::Feedback],
-            ),
-            each(Right::Put, &IDENTIFIED),
-            each(Right::Query, &[K::Buffer, K::Recording, K::State]),
-            each(
-                Right::Answer,
-                &[K::Recording, K::EstimatesBuffer, K::Description, K::State],
-            ),
-            // Workers elect their leader among themselves.
-            vec![(Right::Announce, K::Leader), (Right::Watch, K::Leader)],
-            each(
-                Right::Put,
-                &[
-                    Service::Ingest,
-                    Service::Identify,
-                    Service::Fuse,
-                    Service::Modes,
-                ]
-                .map(K::Progress),
-            ),
-            progress(Right::Subscribe),
-            // This status shows whether samples are waiting for identification, and hence when
-            // identification becomes overloaded.
-            each(Right::Subscribe, &[K::Status(Service::Ingest)]),
-            watch_all(),
-            [
-                Service::Ingest,
-                Service::Identify,
-                Service::Fuse,
-                Service::Modes,
-                Service::Reports,
-            ]
-            .map(of_service)
-            .concat(),
-            // Reports of earthquakes need the frames, and state the open alerts.
-            each(Right::Answer, &[K::Report]),
-            each(Right::Subscribe, &[K::Alert]),
-            each(Right::Query, &[K::Alert]),
-        ]
-        .concat(),
-        Role::Alert => [
-            each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
-            // This status names nodes with a wrong clock, and this comparison faulty sensors.
-            each(
-                Right::Subscribe,
-                &[K::Status(Service::Ingest), K::SensorHealth],
-            ),
-            each(
-                Right::Put,
-                &[
-                    K::Alert,
-                    K::Loss,
-                    K::Monitoring,
-                    K::Event,
-                    K::Progress(Service::Alert),
-                ],
-            ),
-            each(Right::Query, &[K::EstimatesBuffer]),
-            each(Right::Answer, &[K::Alert, K::AlertLog]),
-            of_service(Service::Alert),
-            // The judgement is the slow part of the decision.
-            each(
-                Right::Subscribe,
-                &[K::Parameter, K::Mode, K::Condition, K::Monitoring],
-            ),
-            each(Right::Subscribe, &Service::ALL.map(K::Status)),
-            each(Right::Query, &[K::Alert, K::Condition]),
-            each(
-                Right::Watch,
-                &[
-                    K::Live(Service::Alert),
-                    K::Live(Service::Feed),
-                    K::Live(Service::Sensor),
-                    K::Simulated,
-                ],
-            ),
-            each(Right::Subscribe, &[K::Annotation]),
-            each(Right::Put, &[K::Judgement]),
-            each(Right::Answer, &[K::JudgementCourse]),
-            of_service(Service::Judge),
-        ]
-        .concat(),
-        Role::History => [
-            each(Right::Subscribe, &DISPLAYED),
-            // A feed states its latest conditions.
-            each(Right::Query, &[K::Alert, K::AlertLog, K::Condition]),
-            each(
-                Right::Watch,
-                &[K::Live(Service::Alert), K::Live(Service::Feed)],
-            ),
-            each(Right::Answer, &[K::History, K::HistoryLog]),
-            // Events about its database.
-            each(Right::Put, &[K::Event]),
-            of_service(Service::History),
-        ]
-        .concat(),
-        Role::Notify => [
-            each(
-                Right::Subscribe,
-                &[K::Alert, K::Judgement, K::Monitoring, K::Maintenance],
-            ),
-            // The status of ingest and of fuse states whether the samples are live.
-            each(Right::Subscribe, &Service::ALL.map(K::Status)),
-            // An event names the report of an earthquake, to which notices link.
-            each(Right::Subscribe, &[K::Event]),
-            each(Right::Put, &[K::Event]),
-            each(Right::Query, &[K::Alert, K::AlertLog]),
-            each(
-                Right::Watch,
-                &[
-                    K::Live(Service::Alert),
-                    K::Live(Service::Sensor),
-                    K::Simulated,
-                ],
-            ),
-            of_service(Service::Notify),
-        ]
-        .concat(),
-        Role::Viewer => [
-            each(Right::Subscribe, &DISPLAYED),
-            // After a restart, the progress of ingest separates replayed data from new data.
-            each(
-                Right::Subscribe,
-                &[
-                    K::Estimates,
-                    K::Description,
-                    K::Progress(Service::Ingest),
-                    K::Waveform,
-                    K::Spectrum,
-                ],
-            ),
-            each(Right::Subscribe, &Service::ALL.map(K::Status)),
-            each(
-                Right::Query,
-                &[
-                    K::Alert,
-                    K::Condition,
-                    K::Description,
-                    K::History,
-                    K::HistoryLog,
-                    K::JudgementCourse,
-                    K::Report,
-                ],
-            ),
-            watch_all(),
-        ]
-        .concat(),
+        Role::Worker => of_worker(),
+        Role::Alert => of_alert(),
+        Role::History => of_history(),
+        Role::Notify => of_notify(),
+        Role::Viewer => of_viewer(),
         // The page exports samples, which it queries from ingest.
         Role::Dashboard => [
             rights(Role::Viewer),
@@ -318,6 +151,197 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
     all.sort_unstable();
     all.dedup();
     all
+}
+
+/// Returns the rights of a process that aligns samples and identifies.
+fn of_worker() -> Vec<(Right, KeyFamily)> {
+    [
+        each(
+            Right::Subscribe,
+            &[K::Samples, K::Frames, K::Local, K::Feedback],
+        ),
+        each(Right::Put, &IDENTIFIED),
+        each(Right::Query, &[K::Buffer, K::Recording, K::State]),
+        each(
+            Right::Answer,
+            &[K::Recording, K::EstimatesBuffer, K::Description, K::State],
+        ),
+        // Workers elect their leader among themselves.
+        vec![(Right::Announce, K::Leader), (Right::Watch, K::Leader)],
+        each(
+            Right::Put,
+            &[
+                Service::Ingest,
+                Service::Identify,
+                Service::Fuse,
+                Service::Modes,
+            ]
+            .map(K::Progress),
+        ),
+        progress(Right::Subscribe),
+        // This status shows whether samples are waiting for identification, and hence when
+        // identification becomes overloaded.
+        each(Right::Subscribe, &[K::Status(Service::Ingest)]),
+        watch_all(),
+        [
+            Service::Ingest,
+            Service::Identify,
+            Service::Fuse,
+            Service::Modes,
+            Service::Reports,
+        ]
+        .map(of_service)
+        .concat(),
+        // Reports of earthquakes need the frames, and state the open alerts.
+        each(Right::Answer, &[K::Report]),
+        each(Right::Subscribe, &[K::Alert]),
+        each(Right::Query, &[K::Alert]),
+    ]
+    .concat()
+}
+
+/// Returns the rights of a process that decides on alerts and judges lasting change.
+fn of_alert() -> Vec<(Right, KeyFamily)> {
+    [
+        each(Right::Subscribe, &[K::Estimates, K::Acknowledge]),
+        // This status names nodes with a wrong clock, and this comparison faulty sensors.
+        each(
+            Right::Subscribe,
+            &[K::Status(Service::Ingest), K::SensorHealth],
+        ),
+        each(
+            Right::Put,
+            &[
+                K::Alert,
+                K::Loss,
+                K::Monitoring,
+                K::Event,
+                K::Progress(Service::Alert),
+            ],
+        ),
+        each(Right::Query, &[K::EstimatesBuffer]),
+        each(Right::Answer, &[K::Alert, K::AlertLog]),
+        of_service(Service::Alert),
+        // The judgement is the slow part of the decision.
+        each(
+            Right::Subscribe,
+            &[K::Parameter, K::Mode, K::Condition, K::Monitoring],
+        ),
+        each(Right::Subscribe, &Service::ALL.map(K::Status)),
+        each(Right::Query, &[K::Alert, K::Condition]),
+        each(
+            Right::Watch,
+            &[
+                K::Live(Service::Alert),
+                K::Live(Service::Feed),
+                K::Live(Service::Sensor),
+                K::Simulated,
+            ],
+        ),
+        each(Right::Subscribe, &[K::Annotation]),
+        each(Right::Put, &[K::Judgement]),
+        each(Right::Answer, &[K::JudgementCourse]),
+        of_service(Service::Judge),
+    ]
+    .concat()
+}
+
+/// Returns the rights of a process that stores the past.
+fn of_history() -> Vec<(Right, KeyFamily)> {
+    [
+        each(Right::Subscribe, &DISPLAYED),
+        // A feed states its latest conditions.
+        each(Right::Query, &[K::Alert, K::AlertLog, K::Condition]),
+        each(
+            Right::Watch,
+            &[K::Live(Service::Alert), K::Live(Service::Feed)],
+        ),
+        each(Right::Answer, &[K::History, K::HistoryLog]),
+        // Events about its database.
+        each(Right::Put, &[K::Event]),
+        of_service(Service::History),
+    ]
+    .concat()
+}
+
+/// Returns the rights of a process that notifies people.
+fn of_notify() -> Vec<(Right, KeyFamily)> {
+    [
+        each(
+            Right::Subscribe,
+            &[K::Alert, K::Judgement, K::Monitoring, K::Maintenance],
+        ),
+        // The status of ingest and of fuse states whether the samples are live.
+        each(Right::Subscribe, &Service::ALL.map(K::Status)),
+        // An event names the report of an earthquake, to which notices link.
+        each(Right::Subscribe, &[K::Event]),
+        each(Right::Put, &[K::Event]),
+        each(Right::Query, &[K::Alert, K::AlertLog]),
+        each(
+            Right::Watch,
+            &[
+                K::Live(Service::Alert),
+                K::Live(Service::Sensor),
+                K::Simulated,
+            ],
+        ),
+        of_service(Service::Notify),
+    ]
+    .concat()
+}
+
+/// Returns the rights of a process or person that reads results.
+fn of_viewer() -> Vec<(Right, KeyFamily)> {
+    [
+        each(Right::Subscribe, &DISPLAYED),
+        // After a restart, the progress of ingest separates replayed data from new data.
+        each(
+            Right::Subscribe,
+            &[
+                K::Estimates,
+                K::Description,
+                K::Progress(Service::Ingest),
+                K::Waveform,
+                K::Spectrum,
+            ],
+        ),
+        each(Right::Subscribe, &Service::ALL.map(K::Status)),
+        each(
+            Right::Query,
+            &[
+                K::Alert,
+                K::Condition,
+                K::Description,
+                K::History,
+                K::HistoryLog,
+                K::JudgementCourse,
+                K::Report,
+            ],
+        ),
+        watch_all(),
+    ]
+    .concat()
+}
+
+/// Returns a right on each of these families.
+fn each(right: Right, families: &[KeyFamily]) -> Vec<(Right, KeyFamily)> {
+    families.iter().map(|family| (right, *family)).collect()
+}
+
+/// Returns the rights by which every service reports its state.
+fn of_service(service: Service) -> Vec<(Right, KeyFamily)> {
+    vec![
+        (Right::Put, K::Status(service)),
+        (Right::Announce, K::Live(service)),
+    ]
+}
+
+fn watch_all() -> Vec<(Right, KeyFamily)> {
+    each(Right::Watch, &Service::ALL.map(K::Live))
+}
+
+fn progress(right: Right) -> Vec<(Right, KeyFamily)> {
+    each(right, &Service::ALL.map(K::Progress))
 }
 
 /// Returns `true` if the name in the keys of a family is the name of a node.
