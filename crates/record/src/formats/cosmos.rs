@@ -42,74 +42,77 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     }
 }
 
+/// The integers and reals before the samples of a channel.
+struct Header {
+    integers: Vec<i64>,
+    reals: Vec<f64>,
+    /// Number of its last line.
+    line: u64,
+}
+
+impl Header {
+    fn read(lines: &mut TextLines<'_>) -> Result<Self, Fault> {
+        let (count, columns) = counted(lines, "integer-header values")?;
+        let integers = lines.integers(columns, count, "the integers")?;
+        let (count, columns) = counted(lines, "real-header values")?;
+        let reals = lines.numbers(columns, count, "the reals")?;
+        Ok(Self {
+            integers,
+            reals,
+            line: lines.number(),
+        })
+    }
+
+    /// Returns an integer, counted from 1. `None` if it is unknown.
+    fn integer(&self, index: usize) -> Option<i64> {
+        let value = self.integers.get(index - 1).copied();
+        value.filter(|value| *value != UNKNOWN)
+    }
+
+    /// Returns a real, counted from 1. `None` if it is unknown.
+    fn real(&self, index: usize) -> Option<f64> {
+        let value = self.reals.get(index - 1).copied();
+        value.filter(|value| *value != UNKNOWN as f64)
+    }
+
+    /// Returns the time step of the samples (s).
+    fn step_s(&self) -> Result<f64, Fault> {
+        self.real(62)
+            .map(|step_ms| step_ms / 1e3)
+            .or(self.real(34))
+            .filter(|step_s| *step_s > 0.0)
+            .ok_or_else(|| {
+                let found = self
+                    .reals
+                    .get(61)
+                    .map_or_else(|| "absent".to_owned(), f64::to_string);
+                Fault::at_line(
+                    self.line,
+                    "time step (real 62)",
+                    found,
+                    "a positive number of milliseconds",
+                )
+            })
+    }
+
+    /// Returns the time of the first sample (ns since the Unix epoch, UTC). `None` if it is
+    /// unknown.
+    fn start_ns(&self) -> Option<i64> {
+        let (year, day) = (self.integer(40)?, self.integer(41)?);
+        let (hour, minute) = (self.integer(44)?, self.integer(45)?);
+        day_of_year_ns(year, day, hour, minute, self.real(30)?)
+    }
+}
+
 fn read_channel(
     lines: &mut TextLines<'_>,
     first: &str,
     place: usize,
 ) -> Result<RecordedChannel, Fault> {
-    let lower = first.to_ascii_lowercase();
-    let text_lines: usize = lower
-        .split_once("with ")
-        .and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok())
-        .filter(|_| lower.contains("(format v"))
-        .ok_or_else(|| {
-            let allowed = "`(Format vNN.NN with NN text lines)`";
-            Fault::at_line(
-                lines.number(),
-                "first line of a channel",
-                format!("`{}`", first.trim()),
-                allowed,
-            )
-        })?;
-    let mut description = String::new();
-    for _ in 1..text_lines {
-        let line = lines.line("the lines of text")?;
-        if line.to_ascii_lowercase().starts_with("sta cha") {
-            description = line.split_whitespace().collect::<Vec<_>>().join(" ");
-        }
-    }
-    let (count, columns) = counted(lines, "integer-header values")?;
-    let integers = lines.integers(columns, count, "the integers")?;
-    let (count, columns) = counted(lines, "real-header values")?;
-    let reals = lines.numbers(columns, count, "the reals")?;
-    let header_line = lines.number();
-    let integer = |index: usize| {
-        integers
-            .get(index - 1)
-            .copied()
-            .filter(|value| *value != UNKNOWN)
-    };
-    let real = |index: usize| {
-        reals
-            .get(index - 1)
-            .copied()
-            .filter(|value| *value != UNKNOWN as f64)
-    };
-
-    let (comments, _) = number_before(lines, "comment line")?;
-    let mut source = None;
-    for _ in 0..comments {
-        let comment = lines.line("the comment lines")?;
-        let codes = comment
-            .split_once("<SCNL>")
-            .and_then(|(_, rest)| rest.split_whitespace().next());
-        source = source.or(codes);
-    }
-    let step_s = real(62)
-        .map(|step_ms| step_ms / 1e3)
-        .or(real(34))
-        .filter(|step_s| *step_s > 0.0)
-        .ok_or_else(|| {
-            let found = reals
-                .get(61)
-                .map_or_else(|| "absent".to_owned(), f64::to_string);
-            Fault::at_line(
-                header_line,
-                "time step (real 62)",
-                found,
-                "a positive number of milliseconds",
-            )
-        })?;
+    let description = read_description(lines, first)?;
+    let header = Header::read(lines)?;
+    let source = read_codes(lines)?;
+    let step_s = header.step_s()?;
 
     let (count, line) = number_before(lines, "pts")?;
     let refused = |what: &str, allowed: &str| {
@@ -131,33 +134,15 @@ fn read_channel(
     let columns =
         format_of(&lower).ok_or_else(|| refused("columns", "`Format=(8F10.5)` or similar"))?;
     let samples = lines.numbers(columns, count, quantity)?;
-    let end = lines.line("the end of the channel")?;
-    if !end
-        .to_ascii_lowercase()
-        .replace('-', " ")
-        .contains("end of data")
-    {
-        let allowed = "`End-of-data` after the samples";
-        return Err(Fault::at_line(
-            lines.number(),
-            "line",
-            format!("`{}`", end.trim()),
-            allowed,
-        ));
-    }
+    read_end(lines)?;
 
-    let name = match (integer(50).filter(|number| *number > 0), source) {
+    let number = header.integer(50).filter(|number| *number > 0);
+    let name = match (number, source) {
         (Some(number), _) => format!("channel-{number}.{quantity}"),
         (None, Some(codes)) => format!("{codes}.{quantity}"),
         (None, None) => format!("channel-{place}.{quantity}"),
     };
-    let start_ns = integer(40)
-        .zip(integer(41))
-        .zip(integer(44).zip(integer(45)))
-        .zip(real(30));
-    let start_ns = start_ns.and_then(|(((year, day), (hour, minute)), second)| {
-        day_of_year_ns(year, day, hour, minute, second)
-    });
+    let start_ns = header.start_ns();
     let origin = if start_ns.is_some() {
         TimeOrigin::Epoch
     } else {
@@ -169,6 +154,66 @@ fn read_channel(
         .with_unit(unit)
         .with_description(description)
         .with_origin(origin))
+}
+
+/// Reads the lines of text, whose number the first line states. Returns the one that names station
+/// and channel.
+fn read_description(lines: &mut TextLines<'_>, first: &str) -> Result<String, Fault> {
+    let lower = first.to_ascii_lowercase();
+    let text_lines: usize = lower
+        .split_once("with ")
+        .and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok())
+        .filter(|_| lower.contains("(format v"))
+        .ok_or_else(|| {
+            let allowed = "`(Format vNN.NN with NN text lines)`";
+            Fault::at_line(
+                lines.number(),
+                "first line of a channel",
+                format!("`{}`", first.trim()),
+                allowed,
+            )
+        })?;
+    let mut description = String::new();
+    for _ in 1..text_lines {
+        let line = lines.line("the lines of text")?;
+        if line.to_ascii_lowercase().starts_with("sta cha") {
+            description = line.split_whitespace().collect::<Vec<_>>().join(" ");
+        }
+    }
+    Ok(description)
+}
+
+/// Reads the comments. Returns the codes of network, station and component, if there are any.
+fn read_codes<'a>(lines: &mut TextLines<'a>) -> Result<Option<&'a str>, Fault> {
+    let (comments, _) = number_before(lines, "comment line")?;
+    let mut source = None;
+    for _ in 0..comments {
+        let comment = lines.line("the comment lines")?;
+        let codes = comment
+            .split_once("<SCNL>")
+            .and_then(|(_, rest)| rest.split_whitespace().next());
+        source = source.or(codes);
+    }
+    Ok(source)
+}
+
+/// Reads the line after the samples.
+fn read_end(lines: &mut TextLines<'_>) -> Result<(), Fault> {
+    let end = lines.line("the end of the channel")?;
+    if end
+        .to_ascii_lowercase()
+        .replace('-', " ")
+        .contains("end of data")
+    {
+        return Ok(());
+    }
+    let allowed = "`End-of-data` after the samples";
+    Err(Fault::at_line(
+        lines.number(),
+        "line",
+        format!("`{}`", end.trim()),
+        allowed,
+    ))
 }
 
 /// Reads a line that starts with a number and contains `what`.
