@@ -39,6 +39,93 @@ struct Blockettes {
     rate_hz: Option<f32>,
 }
 
+/// The header of fixed length.
+struct Header {
+    /// Network, station, location and channel, joined by dots.
+    name: String,
+    year: u16,
+    day: u16,
+    hour: u8,
+    minute: u8,
+    second: u8,
+    /// Fraction of the second, unit 0.1 ms.
+    ticks: u16,
+    /// Number of samples.
+    count: usize,
+    rate_factor: i16,
+    rate_multiplier: i16,
+    activity: u8,
+    /// Time correction, unit 0.1 ms.
+    correction_ticks: i32,
+    data_start: usize,
+    first_blockette: usize,
+}
+
+impl Header {
+    /// Reads the header, and sets the byte order of `bytes` to its own.
+    fn read(bytes: &mut Bytes<'_>) -> Result<Self, Fault> {
+        bytes.take(8)?;
+        let mut code = |length| bytes.take(length).map(text);
+        let (station, location, channel, network) = (code(5)?, code(2)?, code(3)?, code(2)?);
+        let order = [ByteOrder::Big, ByteOrder::Little]
+            .into_iter()
+            .find(|order| {
+                let mut year = bytes.clone();
+                year.order = *order;
+                year.u16().is_ok_and(|year| YEARS.contains(&year))
+            });
+        bytes.order = order.ok_or_else(|| {
+            Fault::at_byte(20, "year", "none in either byte order", "1900 to 2100")
+        })?;
+        let (year, day) = (bytes.u16()?, bytes.u16()?);
+        let (hour, minute, second) = (bytes.u8()?, bytes.u8()?, bytes.u8()?);
+        bytes.u8()?; // unused
+        let ticks = bytes.u16()?;
+        let count = usize::from(bytes.u16()?);
+        let (rate_factor, rate_multiplier) = (bytes.i16()?, bytes.i16()?);
+        let activity = bytes.u8()?;
+        bytes.take(3)?; // clock and quality flags, number of blockettes
+        Ok(Self {
+            name: [network, station, location, channel].join("."),
+            year,
+            day,
+            hour,
+            minute,
+            second,
+            ticks,
+            count,
+            rate_factor,
+            rate_multiplier,
+            activity,
+            correction_ticks: bytes.i32()?,
+            data_start: usize::from(bytes.u16()?),
+            first_blockette: usize::from(bytes.u16()?),
+        })
+    }
+
+    /// Returns the time of the first sample, without the microseconds (ns since the Unix epoch,
+    /// UTC).
+    fn start_ns(&self) -> Result<i64, Fault> {
+        let second = f64::from(self.second) + f64::from(self.ticks) * 1e-4;
+        let (year, day, hour, minute) = (
+            i64::from(self.year),
+            i64::from(self.day),
+            i64::from(self.hour),
+            i64::from(self.minute),
+        );
+        let start_ns = day_of_year_ns(year, day, hour, minute, second).ok_or_else(|| {
+            let found = format!("year {year}, day {day}, {hour}:{minute}:{second}");
+            Fault::at_byte(20, "start time", found, "a date and time of day")
+        })?;
+        let correction_ns = if self.activity & TIME_IS_CORRECTED == 0 {
+            i64::from(self.correction_ticks) * 100_000
+        } else {
+            0
+        };
+        Ok(start_ns + correction_ns)
+    }
+}
+
 /// Reads one record, and returns it with its length. Returns `None` as the record if it contains
 /// text or no samples.
 pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
@@ -51,61 +138,23 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
             "a sequence number and D, R, Q or M, or MS and 3",
         ));
     }
-    let mut header = Bytes::new(bytes, ByteOrder::Big);
-    header.take(8)?;
-    let mut code = |length| header.take(length).map(text);
-    let (station, location, channel, network) = (code(5)?, code(2)?, code(3)?, code(2)?);
-    let order = [ByteOrder::Big, ByteOrder::Little]
-        .into_iter()
-        .find(|order| {
-            let mut year = header.clone();
-            year.order = *order;
-            year.u16().is_ok_and(|year| YEARS.contains(&year))
-        });
-    header.order = order
-        .ok_or_else(|| Fault::at_byte(20, "year", "none in either byte order", "1900 to 2100"))?;
-    let (year, day) = (header.u16()?, header.u16()?);
-    let (hour, minute, second) = (header.u8()?, header.u8()?, header.u8()?);
-    header.u8()?; // unused
-    let ticks = header.u16()?; // unit 0.1 ms
-    let count = usize::from(header.u16()?);
-    let (factor, multiplier) = (header.i16()?, header.i16()?);
-    let activity = header.u8()?;
-    header.take(3)?; // clock and quality flags, number of blockettes
-    let correction_ticks = header.i32()?;
-    let data_start = usize::from(header.u16()?);
-    let first_blockette = usize::from(header.u16()?);
-    let blockettes = Blockettes::read(&header, first_blockette)?;
+    let mut unread = Bytes::new(bytes, ByteOrder::Big);
+    let header = Header::read(&mut unread)?;
+    let blockettes = Blockettes::read(&unread, header.first_blockette)?;
     let Some((encoding, data_order, length)) = blockettes.data else {
         return Err(Fault::at_byte(
-            first_blockette,
+            header.first_blockette,
             "blockette 1000",
             "absent",
             "present: it specifies encoding and length",
         ));
     };
-    if !LENGTHS.contains(&length) {
-        return Err(Fault::at_byte(
-            first_blockette,
-            "length of the record",
-            format!("2^{length}"),
-            "2^7 to 2^20 bytes",
-        ));
-    }
-    let length = 1_usize << length;
-    if length > bytes.len() {
-        return Err(Fault::at_byte(
-            0,
-            "record",
-            format!("{} bytes to the end of the file", bytes.len()),
-            length.to_string(),
-        ));
-    }
+    let length = record_length(length, header.first_blockette, bytes.len())?;
     let rate_hz = blockettes.rate_hz.map_or_else(
-        || nominal_rate(factor, multiplier),
+        || nominal_rate(header.rate_factor, header.rate_multiplier),
         |rate_hz| Some(f64::from(rate_hz)),
     );
-    if count == 0 || encoding == 0 || rate_hz.is_none() {
+    if header.count == 0 || encoding == 0 || rate_hz.is_none() {
         // The record contains only a header, or the text of a log.
         return Ok((None, length));
     }
@@ -116,10 +165,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
         return Err(Fault::at_byte(
             32,
             "sampling rate",
-            format!("{factor} and {multiplier}"),
+            format!("{} and {}", header.rate_factor, header.rate_multiplier),
             "a positive number of Hz",
         ));
     }
+    let data_start = header.data_start;
     if !(HEADER_BYTES..length).contains(&data_start) {
         let allowed = format!("{HEADER_BYTES} to {}", length - 1);
         return Err(Fault::at_byte(
@@ -130,34 +180,18 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
         ));
     }
 
-    let second = f64::from(second) + f64::from(ticks) * 1e-4;
-    let (year, day, hour, minute) = (
-        i64::from(year),
-        i64::from(day),
-        i64::from(hour),
-        i64::from(minute),
-    );
-    let start_ns = day_of_year_ns(year, day, hour, minute, second).ok_or_else(|| {
-        let found = format!("year {year}, day {day}, {hour}:{minute}:{second}");
-        Fault::at_byte(20, "start time", found, "a date and time of day")
-    })?;
-    let correction_ns = if activity & TIME_IS_CORRECTED == 0 {
-        i64::from(correction_ticks) * 100_000
-    } else {
-        0
-    };
-    let start_ns = start_ns + correction_ns + i64::from(blockettes.microseconds) * 1000;
+    let start_ns = header.start_ns()? + i64::from(blockettes.microseconds) * 1000;
     let data_order = if data_order == 0 {
         ByteOrder::Little
     } else {
         ByteOrder::Big
     };
     let data = Bytes::new(&bytes[data_start..length], data_order);
-    let samples = decode(data, encoding, count).map_err(|fault| fault.moved_by(data_start))?;
-    let name = [network, station, location, channel].join(".");
+    let samples =
+        decode(data, encoding, header.count).map_err(|fault| fault.moved_by(data_start))?;
     Ok((
         Some(Record {
-            name,
+            name: header.name,
             rate_hz,
             start_ns,
             clock_quality: blockettes.clock_quality,
@@ -165,6 +199,29 @@ pub(super) fn read(bytes: &[u8]) -> Result<(Option<Record>, usize), Fault> {
         }),
         length,
     ))
+}
+
+/// Returns the length of a record of which `available` bytes follow. `exponent` is its logarithm to
+/// base 2.
+fn record_length(exponent: u8, first_blockette: usize, available: usize) -> Result<usize, Fault> {
+    if !LENGTHS.contains(&exponent) {
+        return Err(Fault::at_byte(
+            first_blockette,
+            "length of the record",
+            format!("2^{exponent}"),
+            "2^7 to 2^20 bytes",
+        ));
+    }
+    let length = 1_usize << exponent;
+    if length > available {
+        return Err(Fault::at_byte(
+            0,
+            "record",
+            format!("{available} bytes to the end of the file"),
+            length.to_string(),
+        ));
+    }
+    Ok(length)
 }
 
 impl Blockettes {
