@@ -371,34 +371,7 @@ async fn time(
         )
         .await?;
     let start_ns = Clock::of_machine().now_ns() + HEAD_START.as_nanos() as i64;
-    let mut sensors = JoinSet::new();
-    for (
-        number,
-        Watched {
-            structure, keys, ..
-        },
-    ) in watched.iter().enumerate()
-    {
-        let frames = (duration.as_secs_f64() * structure.sampling_rate_hz()).round() as u64;
-        let simulation = Simulation {
-            speed: spandrel_sensor::Speed::Live,
-            seed: number as u64 + 1,
-            frames: Some(frames),
-            start_ns,
-            nodes: (0..structure.nodes().len()).collect(),
-        };
-        let (bus, structure, keys) = (bus.clone(), structure.clone(), keys.clone());
-        sensors.spawn(async move {
-            simulate(
-                &bus,
-                &structure,
-                &keys,
-                &simulation,
-                &indicatif::ProgressBar::hidden(),
-            )
-            .await
-        });
-    }
+    let mut sensors = start_sensors(bus, watched, duration, start_ns);
     let (from_ns, to_ns) = (
         start_ns + WARM_UP.as_nanos() as i64,
         start_ns + duration.saturating_sub(RUN_OUT).as_nanos() as i64,
@@ -442,13 +415,7 @@ async fn time(
     let rate_hz = first.structure.sampling_rate_hz();
     let seconds = (to_ns - from_ns) as f64 / 1e9;
     let expected = watched.len() as f64 * seconds * rate_hz;
-    let mut groups: BTreeMap<&'static str, f64> = BTreeMap::new();
-    for (before, after) in first_usage.iter().zip(&last_usage) {
-        for (group, cpu_s) in &after.cpu_s {
-            *groups.entry(group).or_default() +=
-                cpu_s - before.cpu_s.get(group).copied().unwrap_or(0.0);
-        }
-    }
+    let groups = used_between(&first_usage, &last_usage);
     let cpu_s: f64 = groups.values().sum();
     let resident_mb = last_usage.first().map_or(0.0, |usage| usage.resident_mb);
     let complete = frames as f64 / expected;
@@ -470,6 +437,58 @@ async fn time(
         resident_mb_per_structure: (resident_mb - resident_before_mb).max(0.0)
             / watched.len() as f64,
     })
+}
+
+/// Starts the sensors of all structures, which measure from `start_ns` on (ns since the Unix epoch,
+/// UTC).
+fn start_sensors(
+    bus: &Bus,
+    watched: &[Watched],
+    duration: Duration,
+    start_ns: i64,
+) -> JoinSet<Result<u64, AppError>> {
+    let mut sensors = JoinSet::new();
+    for (
+        number,
+        Watched {
+            structure, keys, ..
+        },
+    ) in watched.iter().enumerate()
+    {
+        let frames = (duration.as_secs_f64() * structure.sampling_rate_hz()).round() as u64;
+        let simulation = Simulation {
+            speed: spandrel_sensor::Speed::Live,
+            seed: number as u64 + 1,
+            frames: Some(frames),
+            start_ns,
+            nodes: (0..structure.nodes().len()).collect(),
+        };
+        let (bus, structure, keys) = (bus.clone(), structure.clone(), keys.clone());
+        sensors.spawn(async move {
+            simulate(
+                &bus,
+                &structure,
+                &keys,
+                &simulation,
+                &indicatif::ProgressBar::hidden(),
+            )
+            .await
+        });
+    }
+    sensors
+}
+
+/// Returns the processor time that the processes have used between two moments, by group of threads
+/// (s).
+fn used_between(before: &[Usage], after: &[Usage]) -> BTreeMap<&'static str, f64> {
+    let mut groups: BTreeMap<&'static str, f64> = BTreeMap::new();
+    for (before, after) in before.iter().zip(after) {
+        for (group, cpu_s) in &after.cpu_s {
+            *groups.entry(group).or_default() +=
+                cpu_s - before.cpu_s.get(group).copied().unwrap_or(0.0);
+        }
+    }
+    groups
 }
 
 /// Returns the time of the last frame of a block (ns since the Unix epoch, UTC).
