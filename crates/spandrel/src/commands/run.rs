@@ -128,33 +128,7 @@ impl Plan {
                 });
             }
         }
-        if services == Services::FUSE
-            && watched
-                .iter()
-                .all(|watched| watched.structure.fusion().is_none())
-        {
-            return Err(AppError::NothingToFuse);
-        }
-        let is_filtered = |watched: &Watched| watched.structure.is_filtered();
-        if [Services::IDENTIFY, Services::ALERT].contains(&services)
-            && !watched.iter().any(is_filtered)
-        {
-            return Err(AppError::NothingToIdentify {
-                service: services.name(),
-            });
-        }
-        let is_judged = |watched: &Watched| watched.structure.judge().is_some();
-        if services == Services::JUDGE && !watched.iter().any(is_judged) {
-            return Err(AppError::NothingToJudge);
-        }
-        let has_modal = |watched: &Watched| watched.structure.modal().is_some();
-        if services == Services::MODES && !watched.iter().any(has_modal) {
-            return Err(AppError::NothingToFollow);
-        }
-        let is_reported = |watched: &Watched| watched.structure.earthquakes().is_some();
-        if services == Services::REPORTS && !watched.iter().any(is_reported) {
-            return Err(AppError::NothingToReport);
-        }
+        check_work(services, &watched)?;
         if settings.isolated {
             settings.bus.access_control = Some(isolation_of(&settings, services, &watched)?);
         }
@@ -376,6 +350,37 @@ impl Plan {
         }
         Ok(running)
     }
+}
+
+/// Checks that the structures have work for the service, if it runs alone.
+fn check_work(services: Services, watched: &[Watched]) -> Result<(), AppError> {
+    if services == Services::FUSE
+        && watched
+            .iter()
+            .all(|watched| watched.structure.fusion().is_none())
+    {
+        return Err(AppError::NothingToFuse);
+    }
+    let is_filtered = |watched: &Watched| watched.structure.is_filtered();
+    if [Services::IDENTIFY, Services::ALERT].contains(&services) && !watched.iter().any(is_filtered)
+    {
+        return Err(AppError::NothingToIdentify {
+            service: services.name(),
+        });
+    }
+    let is_judged = |watched: &Watched| watched.structure.judge().is_some();
+    if services == Services::JUDGE && !watched.iter().any(is_judged) {
+        return Err(AppError::NothingToJudge);
+    }
+    let has_modal = |watched: &Watched| watched.structure.modal().is_some();
+    if services == Services::MODES && !watched.iter().any(has_modal) {
+        return Err(AppError::NothingToFollow);
+    }
+    let is_reported = |watched: &Watched| watched.structure.earthquakes().is_some();
+    if services == Services::REPORTS && !watched.iter().any(is_reported) {
+        return Err(AppError::NothingToReport);
+    }
+    Ok(())
 }
 
 /// Returns the access control of an isolated process.
