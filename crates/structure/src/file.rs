@@ -63,6 +63,25 @@ struct Head {
     distributed: Option<Spanned<bool>>,
 }
 
+impl Head {
+    fn is_distributed(&self) -> bool {
+        let distributed = self.distributed.as_ref();
+        distributed.is_some_and(|distributed| *distributed.get_ref())
+    }
+
+    /// Reports distributed identification, which other tables of the file exclude.
+    fn refuse_distributed(&self, diagnostics: &Diagnostics<'_>, allowed: &str) {
+        if let Some(distributed) = self.distributed.as_ref().filter(|_| self.is_distributed()) {
+            diagnostics.report(
+                distributed.span(),
+                "structure.identification",
+                "is \"distributed\"",
+                allowed,
+            );
+        }
+    }
+}
+
 /// Default of `display-rate-hz`: as fast as the eye can follow.
 const DISPLAY_RATE_HZ: f64 = 10.0;
 
@@ -218,19 +237,10 @@ impl<'t> StructureFile<'t> {
         };
         let (declared, parameters) =
             parameter::read_parameters(&mut file, system, damping.as_ref());
-        if let Some(distributed) = head
-            .distributed
-            .as_ref()
-            .filter(|distributed| *distributed.get_ref() && declared == 0)
-        {
+        if declared == 0 {
             let allowed = "must not be distributed without a [[parameter]]: nodes identify and \
                 share parameters";
-            diagnostics.report(
-                distributed.span(),
-                "structure.identification",
-                "is \"distributed\"",
-                allowed,
-            );
+            head.refuse_distributed(diagnostics, allowed);
         }
         let follows = if declared > 0 {
             filter::Follows::Parameters
@@ -276,19 +286,10 @@ impl<'t> StructureFile<'t> {
         let node_names = (!nodes.incomplete).then_some(&node_names[..]);
         let parameter_spans = parameters.iter().map(|read| read.name.clone());
         let responses = response::read_responses(&mut file, system, parameter_spans);
-        if let Some(distributed) = head
-            .distributed
-            .as_ref()
-            .filter(|is| *is.get_ref() && !responses.is_empty())
-        {
+        if !responses.is_empty() {
             let allowed = "must not be distributed with [[response]]: a station estimates \
                 parameters, not the motion";
-            diagnostics.report(
-                distributed.span(),
-                "structure.identification",
-                "is \"distributed\"",
-                allowed,
-            );
+            head.refuse_distributed(diagnostics, allowed);
         }
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
@@ -319,7 +320,7 @@ impl<'t> StructureFile<'t> {
         let updatable = modal::Updatable {
             parameters: (declared == parameters.len()).then_some(&parameters[..]),
             is_linear: !is_modal && system.is_none_or(|system| system.hysteresis.is_none()),
-            is_distributed: head.distributed.as_ref().is_some_and(|is| *is.get_ref()),
+            is_distributed: head.is_distributed(),
         };
         let modal = modal::read_modal(modal, head.rate_hz, &nodes, &updatable);
         let channel_list: Vec<_> = nodes.channels.iter().map(|read| &read.channel).collect();
