@@ -1,6 +1,6 @@
 //! The key expressions of one structure.
 
-use super::{KeyFamily, Service};
+use super::{KeyFamily, Service, expression_of};
 use crate::name::{Name, NameError};
 
 /// Key expressions of one structure.

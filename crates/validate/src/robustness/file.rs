@@ -10,7 +10,10 @@ pub(super) struct Stated {
     pub(super) ground_measured: bool,
     /// Level of the ground motion, as the standard deviation of one sample (m/s²).
     pub(super) ground_std: f64,
+    /// Noise of each floor channel (m/s²).
     pub(super) noise_std: f64,
+    /// Noise of the ground channel (m/s²), if a sensor measures the ground.
+    pub(super) ground_noise_std: f64,
     /// Whether the samples are screened for outliers.
     pub(super) outliers: bool,
     /// Whether the two Rayleigh coefficients are identified.
@@ -31,7 +34,10 @@ pub(super) const LEARN_S: f64 = 30.0;
 impl Stated {
     pub(super) fn text(&self) -> String {
         let Self {
-            rate_hz, noise_std, ..
+            rate_hz,
+            noise_std,
+            ground_noise_std,
+            ..
         } = self;
         let mut text = format!(
             "[structure]\nname = \"building\"\nsampling-rate-hz = {rate_hz}\n\n\
@@ -67,7 +73,7 @@ impl Stated {
             text += "measured-on = \"ground\"\n\n[[node]]\nname = \"ground\"\n\n[[node.channel]]\n\
                      name = \"ground\"\n\
                      quantity = \"ground-acceleration\"\nunit = \"m/s2\"\n";
-            let _ = writeln!(text, "noise-std = {noise_std}");
+            let _ = writeln!(text, "noise-std = {ground_noise_std}");
         }
         for floor in 1..=STOREYS {
             let _ = write!(
