@@ -81,6 +81,7 @@ async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
     browser.evaluate("location.hash = '#/structure/demo'").await;
     the_present_state_leads_to_the_year(&mut browser).await;
     the_first_quantity_has_lost_stiffness(&mut browser).await;
+    a_note_is_entered_by_keyboard(&mut browser).await;
     another_quantity_has_its_own_address(&mut browser).await;
     the_plots_are_zoomed_and_read_by_keyboard(&mut browser).await;
     a_phone_shows_the_year_without_scrolling_aside(&mut browser).await;
@@ -136,6 +137,43 @@ async fn the_first_quantity_has_lost_stiffness(browser: &mut Browser) {
     browser.prefer("dark").await;
     browser.screenshot("lasting-change-dark").await;
     browser.prefer("light").await;
+}
+
+async fn a_note_is_entered_by_keyboard(browser: &mut Browser) {
+    let focus_of = |id: &str| format!("document.activeElement.id === '{id}'");
+    browser
+        .evaluate("document.getElementById('add-note').focus()")
+        .await;
+    browser.press("Enter").await;
+    let first = focus_of("note-subject");
+    browser.wait("the form of a note", &first).await;
+    for _ in 0..3 {
+        browser.press("Tab").await;
+    }
+    browser.write("crack in the bearing").await;
+    browser.press("Tab").await;
+    browser.write("Ada").await;
+    let set = "document.getElementById('note-effect').value = 'seen'; \
+               document.getElementById('note-from').value = '2199-01-01T00:00:00'; \
+               document.querySelector('#note-dialog button[type=submit]').focus(); true";
+    browser.evaluate(set).await;
+    browser.press("Enter").await;
+    let wrong = format!(
+        "{} && document.querySelector('#note-dialog .told').textContent.includes('in the future')",
+        focus_of("note-from")
+    );
+    browser.wait("the mistake, with its field", &wrong).await;
+    browser.screenshot("note").await;
+    let clear = "document.getElementById('note-from').value = ''; \
+                 document.querySelector('#note-dialog button[type=submit]').focus(); true";
+    browser.evaluate(clear).await;
+    browser.press("Enter").await;
+    let noted = "/inspection, lasting change seen crack in the bearing \\(Ada\\)/\
+                 .test(document.querySelector('.notes').textContent) \
+                 && !document.getElementById('note-dialog').open";
+    browser.wait("the note, without a reload", noted).await;
+    let seen = format!("/Seen by Ada on 20..-..-..: crack in the bearing/.test({PANEL})");
+    browser.wait("a change that somebody has seen", &seen).await;
 }
 
 async fn another_quantity_has_its_own_address(browser: &mut Browser) {

@@ -4,8 +4,8 @@ import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
 import { SERVICES, STATES, canBeSeen, changedAt, levelOf, natural, place, revisedWords, seenWords, setSentence, time, withMinus } from "./words.js";
 
-/** Key of the last entered name in local storage, the default for the next acknowledgement. */
-const NAME_KEY = "spandrel-name";
+/** Key of the last entered name in local storage, the default for the next acknowledgement or note. */
+export const NAME_KEY = "spandrel-name";
 /** Time limit for the alert service to confirm an acknowledgement (ms). */
 const ANSWER_WITHIN_MS = 6000;
 /** Interval at which the list is fetched (ms). A raised alert fetches it immediately. */

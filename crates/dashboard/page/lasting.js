@@ -3,6 +3,7 @@
 import { CoursePoints, dateOf, noon } from "./course.js";
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
+import { NoteDialog } from "./note.js";
 import { RangeBar } from "./ranges.js";
 import { DAY_S, Span } from "./span.js";
 import { COLUMNS, LEVELS, judged, judgementWords, number, percent, wordOf, SERVICES } from "./words.js";
@@ -45,9 +46,19 @@ export class LastingTab {
     values.element.classList.add("is-wide");
     this.trouble = h("p", { class: "empty", role: "status", hidden: true });
     this.notes = h("ul", { class: "notes" });
-    this.noted = h("section", { class: "card noted" }, h("h3", {}, t("notes-of-people")), this.notes);
+    this.saved = h("p", { class: "group-text", role: "status" });
+    this.dialog = new NoteDialog(page.name, page.about.judged, (text) => {
+      setText(this.saved, text);
+      this.#reload();
+    });
+    const open = () => {
+      setText(this.saved, "");
+      this.dialog.open(this.chosen);
+    };
+    const add = h("button", { type: "button", id: "add-note", onclick: open }, t("add-a-note"));
+    const noted = h("section", { class: "card noted" }, h("div", { class: "card-head" }, h("h3", {}, t("notes-of-people")), add), this.saved, this.notes, this.dialog.element);
     const reference = h("section", { class: "card reference" }, h("h3", {}, t("reference-and-budget")), this.facts, this.finds);
-    const plots = h("div", { class: "plots", id: "year" }, this.plots.map(({ element }) => element), reference, this.noted);
+    const plots = h("div", { class: "plots", id: "year" }, this.plots.map(({ element }) => element), reference, noted);
     this.seen = h("p", { class: "seen" });
     this.card = h("section", { class: "card judged" }, this.title, this.sentence, this.seen);
     this.element = h("section", { class: "group", id: "group-lasting" }, this.list, this.card, this.ranges.element, this.trouble, plots);
@@ -132,7 +143,6 @@ export class LastingTab {
     const delays = course?.reference?.delays ?? [];
     const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? t("mostly-missed") : t("days", days)), h("td", {}, percent(share, 0)));
     const notes = (course?.annotations ?? []).toReversed();
-    this.noted.hidden = notes.length === 0;
     this.notes.replaceChildren(...notes.map(note));
     this.finds.hidden = delays.length === 0;
     this.delays.replaceChildren(...delays.map(row));
@@ -155,7 +165,7 @@ const EFFECTS = { seen: t("lasting-change-seen"), "new-reference": t("new-refere
 /** Returns the line of an annotation. */
 function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
   const end = to === null ? "" : t("to-date", dateOf(to / 1e9));
-  const what = EFFECTS[effect] ? `${kind}, ${EFFECTS[effect]}` : kind;
+  const what = EFFECTS[effect] ? `${wordOf(kind)}, ${EFFECTS[effect]}` : wordOf(kind);
   return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what), ` ${text} (${who})`);
 }
 

@@ -98,7 +98,7 @@ function words(row) {
 
 /** Returns the marks of what people have noted. */
 function noted(course) {
-  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? t("mark-new-reference") : `✎ ${kind}`}`, colour: "--notice" });
+  const mark = ({ from_ns: from, kind, effect }) => ({ x: from / 1e9, text: `${effect === "new-reference" ? t("mark-new-reference") : `✎ ${wordOf(kind)}`}`, colour: "--notice" });
   return (course?.annotations ?? []).map(mark);
 }
 

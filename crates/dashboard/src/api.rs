@@ -1,6 +1,8 @@
 //! The HTTP interface: its routes, and the error responses.
 
+use crate::annotations::Noted;
 use crate::entrance::{self, SESSION_PATH, pass, signed};
+use crate::entries::{person, text, wrong};
 use crate::gate::{SessionEnd, Visitor};
 use crate::health::{self, LIVE_PATH, READY_PATH};
 use crate::history::{self, Asked, Format, Refused};
@@ -29,7 +31,7 @@ use axum::{Extension, Json, Router};
 use serde::Deserialize;
 use serde_json::json;
 use spandrel_bus::{Acknowledgement, AlertState, Name};
-use spandrel_service::Audit;
+use spandrel_service::{Audit, Refused as Audited};
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
@@ -39,9 +41,6 @@ const OPENAPI: &str = include_str!("../openapi.json");
 pub(crate) const LIVE_DATA_PATH: &str = "/api/live";
 /// Maximum size of a request body (bytes).
 const LARGEST_BODY: usize = 16 * 1024;
-/// Maximum length of a person's name, and of a note (characters).
-const LONGEST_NAME: usize = 100;
-const LONGEST_NOTE: usize = 1_000;
 /// Time limit for a whole request, mostly for receiving its body. A reply takes a few seconds at
 /// most.
 const REQUEST_WITHIN: Duration = Duration::from_secs(30);
@@ -79,6 +78,11 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             "/api/structures/{structure}/alerts/{parameter}/acknowledge",
             Method::POST,
             post(acknowledge),
+        ),
+        (
+            "/api/structures/{structure}/annotations",
+            Method::POST,
+            post(annotate),
         ),
         ("/events/{structure}/{file}", Method::GET, get(read_report)),
         ("/api/alerts", Method::GET, get(alerts)),
@@ -456,65 +460,15 @@ async fn acknowledge(
     seen: Result<Json<Seen>, JsonRejection>,
 ) -> Result<Response, Mistake> {
     let Json(Seen { who, note }) = seen?;
-    let (who, note) = (who.trim().to_owned(), note.trim().to_owned());
-    let refuse =
-        |what: &str, allowed: String| Err(Mistake::new(StatusCode::BAD_REQUEST, what, allowed));
-    match who.chars().count() {
-        0 => {
-            return refuse(
-                "who is empty",
-                "must name the person who has seen the alert".to_owned(),
-            );
-        }
-        count if count > LONGEST_NAME => {
-            return refuse(
-                "who is too long",
-                format!("must have at most {LONGEST_NAME} characters"),
-            );
-        }
-        _ => {}
-    }
-    if who.chars().any(char::is_control) {
-        return refuse(
-            "who has control characters",
-            "must be a line of text".to_owned(),
-        );
-    }
-    if note
-        .chars()
-        .any(|c| c.is_control() && !matches!(c, '\n' | '\r' | '\t'))
-    {
-        return refuse(
-            "note has control characters",
-            "must be text, in one or more lines".to_owned(),
-        );
-    }
-    if note.chars().count() > LONGEST_NOTE {
-        return refuse(
-            "note is too long",
-            format!("must have at most {LONGEST_NOTE} characters"),
-        );
-    }
+    let who = person(&who, "must name the person who has seen the alert")?;
+    let note = text("note", &note)?;
     let before = check_acknowledgeable(&*find(&server, &structure)?, &parameter)?;
     let (Ok(structure), Ok(parameter)) = (Name::new(&*structure), Name::new(&*parameter)) else {
-        return refuse(
-            "invalid name",
-            "must be lower-case letters, digits and hyphens".to_owned(),
-        );
+        let allowed = "must be lower-case letters, digits and hyphens";
+        return Err(wrong("invalid name", allowed));
     };
-    if let Some(why) = server.cannot_acknowledge() {
-        let what = format!("the certificate of this page does not permit acknowledgements: {why}");
-        let person = signed(who, visitor.as_ref());
-        Audit::of_process().refuse(
-            spandrel_service::Refused::Acknowledgement,
-            &format!("{} ({person})", address.0),
-            why,
-        );
-        let allowed =
-            "must be sent from a page, or from spandrel watch, with a certificate of such a role";
-        return Err(Mistake::new(StatusCode::FORBIDDEN, what, allowed));
-    }
     let who = signed(who, visitor.as_ref());
+    check_certificate(&server, address, Audited::Acknowledgement, &who)?;
     let acknowledgement = Acknowledgement {
         structure,
         parameter,
@@ -535,6 +489,52 @@ async fn acknowledge(
             "try again",
         )),
     }
+}
+
+async fn annotate(
+    State(server): Shared,
+    Path(name): Path<String>,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
+    visitor: Option<Extension<Visitor>>,
+    noted: Result<Json<Noted>, JsonRejection>,
+) -> Result<Response, Mistake> {
+    let Json(noted) = noted?;
+    let mut annotation = noted.annotation(&*find(&server, &name)?, now_ns())?;
+    annotation.who = signed(annotation.who, visitor.as_ref());
+    check_certificate(&server, address, Audited::Annotation, &annotation.who)?;
+    let kept = server.annotate(&annotation).await.map_err(|error| {
+        Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            error.to_string(),
+            "try again",
+        )
+    })?;
+    let status = match kept {
+        true => StatusCode::OK,
+        false => StatusCode::ACCEPTED,
+    };
+    Ok((status, Json(json!({"sent": true, "kept": kept}))).into_response())
+}
+
+/// Rejects a message of a person if the router would drop it. A role that may acknowledge may also
+/// annotate.
+fn check_certificate(
+    server: &Server,
+    address: ClientAddress,
+    refused: Audited,
+    person: &str,
+) -> Result<(), Mistake> {
+    let Some(why) = server.cannot_acknowledge() else {
+        return Ok(());
+    };
+    let who = format!("{} ({person})", address.0);
+    Audit::of_process().refuse(refused, &who, why);
+    let message = refused.as_str();
+    Err(Mistake::new(
+        StatusCode::FORBIDDEN,
+        format!("the certificate of this page does not permit an {message}: {why}"),
+        "must be sent from a page or a command with a certificate of such a role",
+    ))
 }
 
 /// Returns the state of an alert that can be acknowledged.

@@ -1,8 +1,8 @@
 //! A web page that shows structures, estimates and alerts.
 //!
 //! The dashboard subscribes to the topics for display. It serves a page, an HTTP interface that
-//! `/api/openapi.json` describes, and a WebSocket. The only message that it publishes for a user is
-//! the acknowledgement of an alert.
+//! `/api/openapi.json` describes, and a WebSocket. For a user, it publishes the acknowledgement of
+//! an alert, and an annotation of a judged structure.
 //!
 //! ```no_run
 //! use spandrel_bus::{Bus, BusConfig, Name};
@@ -29,8 +29,9 @@
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
 //! and `overview` (what needs attention, and why), `frequencies` (the same without a model),
 //! `levels` (samples of the last minute), `conditions` (temperatures and the like), `view` (data
-//! for the page), `history` (spans of time), `judgements` (years of a judged quantity), `reports`
-//! (reports of earthquakes), `stretch` and `samples` (samples of a range as a file).
+//! for the page), `history` (spans of time), `judgements` (years of a judged quantity), `entries` and
+//! `annotations` (what people enter), `reports` (reports of earthquakes), `stretch` and `samples`
+//! (samples of a range as a file).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
 //! heads), `gate` and `entrance` (who may do what).
@@ -59,6 +60,8 @@ mod overview;
 mod sensors;
 mod view;
 
+mod annotations;
+mod entries;
 mod history;
 mod judgements;
 mod reports;

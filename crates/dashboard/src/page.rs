@@ -79,6 +79,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/drawing.js", SCRIPT, "../page/drawing.js"),
     asset!("/marks.js", SCRIPT, "../page/marks.js"),
     asset!("/nodes.js", SCRIPT, "../page/nodes.js"),
+    asset!("/note.js", SCRIPT, "../page/note.js"),
     asset!("/plot.js", SCRIPT, "../page/plot.js"),
     asset!("/plots.js", SCRIPT, "../page/plots.js"),
     asset!("/span.js", SCRIPT, "../page/span.js"),

@@ -7,8 +7,8 @@ use crate::places::{Place, Places};
 use crate::store::Store;
 use crate::stretch::{Stretch, Unreadable};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusError, FrameBlock, HistorySpan,
-    JudgementCourse, Keys, Name, ReportPage, SpanQuery,
+    Acknowledgement, AlertMessage, AlertState, Annotation, Bus, BusError, Event, FrameBlock,
+    HistorySpan, JudgementCourse, Keys, Name, ReportPage, SpanQuery,
 };
 use spandrel_listener::Input;
 use spandrel_service::Clock;
@@ -19,7 +19,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinSet;
 use tracing::warn;
 
-/// Time limit for a reply of the service judge, which may be learning a reference.
+/// Time limit for a message of the service judge, which may be learning a reference.
 const JUDGE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Time limit for a reply of the service reports.
@@ -39,6 +39,9 @@ const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 
 /// Queue length for changes of an alert while waiting for the confirmation.
 const CHANGES_WAITING: usize = 64;
+
+/// Queue length for events while waiting for the confirmation of an annotation.
+const EVENTS_WAITING: usize = 256;
 
 /// State shared by the requests and the subscriber to the bus.
 #[derive(Debug)]
@@ -183,6 +186,34 @@ impl Server {
         store.handle(Input::Acknowledgement(acknowledgement.clone()));
         store.handle(Input::Alert(alert));
         Ok(Some(state))
+    }
+
+    /// Publishes an annotation. Returns whether the service `judge` confirms in time that it has
+    /// kept the annotation.
+    pub(crate) async fn annotate(&self, annotation: &Annotation) -> Result<bool, BusError> {
+        let mut structures = self.structures.iter();
+        let Some((keys, _)) =
+            structures.find(|(keys, _)| *keys.structure() == annotation.structure)
+        else {
+            return Ok(false);
+        };
+        // Before publishing, because the confirmation may arrive at once.
+        let events = self
+            .bus
+            .subscribe::<Event>(keys.event(), EVENTS_WAITING)
+            .await?;
+        let publisher = self.bus.publish_display(keys.annotation()).await?;
+        publisher.put(annotation).await?;
+        let confirmed = async {
+            while let Ok((_, event)) = events.messages().recv_async().await {
+                if annotation.is_confirmed_by(&event) {
+                    return true;
+                }
+            }
+            false
+        };
+        let confirmed = tokio::time::timeout(JUDGE_WITHIN, confirmed).await;
+        Ok(confirmed.unwrap_or(false))
     }
 
     /// Queries the history service for data from before the stored data. Omits data for which no

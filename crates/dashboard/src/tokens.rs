@@ -23,7 +23,7 @@ const PREFIX: &str = "spandrel-";
 pub enum PageRole {
     /// Read access.
     Viewer,
-    /// Read access and the right to acknowledge alerts.
+    /// Read access and the right to acknowledge alerts and annotate structures.
     Operator,
 }
 

@@ -43,6 +43,8 @@ pub enum Refused {
     Connection,
     /// An acknowledgement that this page may not publish.
     Acknowledgement,
+    /// An annotation that this page may not publish.
+    Annotation,
     /// A connection to the bus without a valid handshake, mostly because of its certificate.
     BusHandshake,
     /// A message or declaration that the role of a party does not permit on the bus.
@@ -53,7 +55,7 @@ pub enum Refused {
 
 impl Refused {
     /// All kinds.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::WrongToken,
         Self::RepeatedToken,
         Self::Forbidden,
@@ -63,6 +65,7 @@ impl Refused {
         Self::Handshake,
         Self::Connection,
         Self::Acknowledgement,
+        Self::Annotation,
         Self::BusHandshake,
         Self::BusRight,
         Self::BusReader,
@@ -81,6 +84,7 @@ impl Refused {
             Self::Handshake => "tls-handshake",
             Self::Connection => "connection",
             Self::Acknowledgement => "acknowledgement",
+            Self::Annotation => "annotation",
             Self::BusHandshake => "bus-handshake",
             Self::BusRight => "bus-right",
             Self::BusReader => "bus-reader",

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Format, Malformed, Message, check_label, check_text};
+use super::{Event, EventKind, Format, Malformed, Message, check_label, check_text};
 use crate::name::Name;
 
 /// Subject of an annotation.
@@ -130,6 +130,16 @@ impl Annotation {
     pub fn why(&self) -> String {
         format!("{}: {}", self.who, self.text)
     }
+
+    /// Returns `true` if an event says that the service `judge` has kept the annotation.
+    #[must_use]
+    pub fn is_confirmed_by(&self, event: &Event) -> bool {
+        let subject = self.quantity.as_ref().unwrap_or(&self.structure);
+        event.kind == EventKind::Annotation
+            && event.time_ns == self.from_ns
+            && event.subject == subject.as_str()
+            && event.what == self.what()
+    }
 }
 
 impl Message for Annotation {
@@ -210,6 +220,34 @@ mod tests {
             };
             assert!(wrong.check().is_err(), "{wrong:?}");
         }
+    }
+
+    #[test]
+    fn an_annotation_is_confirmed_by_an_event_of_the_same_time_and_subject() {
+        let event = Event {
+            structure: Name::new("bridge").unwrap(),
+            time_ns: 50,
+            kind: EventKind::Annotation,
+            subject: "pier".to_owned(),
+            what: "repair: new reference".to_owned(),
+            why: "ada: new bearings".to_owned(),
+        };
+        assert!(repair().is_confirmed_by(&event));
+        let later = Event {
+            time_ns: 51,
+            ..event.clone()
+        };
+        assert!(!repair().is_confirmed_by(&later));
+        let of_all = Annotation {
+            quantity: None,
+            ..repair()
+        };
+        assert!(!of_all.is_confirmed_by(&event));
+        let of_bridge = Event {
+            subject: "bridge".to_owned(),
+            ..event
+        };
+        assert!(of_all.is_confirmed_by(&of_bridge));
     }
 
     #[test]

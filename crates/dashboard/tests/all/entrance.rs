@@ -296,6 +296,8 @@ async fn a_viewer_reads_and_an_operator_acknowledges_too() {
         assert_eq!(site.status("HEAD", "/api/structures", token).await, 200);
     }
     assert_eq!(site.status("POST", ACKNOWLEDGE, &viewer).await, 403);
+    let annotations = "/api/structures/demo/annotations";
+    assert_eq!(site.status("POST", annotations, &viewer).await, 403);
     assert_eq!(
         site.status("POST", ACKNOWLEDGE, &operator).await,
         409,

@@ -3,11 +3,12 @@
 use futures_util::StreamExt;
 use serde_json::{Value, json};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, AlertState, Bus, BusConfig, CredibleInterval, DisplayPublisher,
-    Keys, LatestPublisher, LossDisplay, Name, ParameterDisplay,
+    Acknowledgement, AlertMessage, AlertState, Annotation, AnnotationEffect, AnnotationKind, Bus,
+    BusConfig, CredibleInterval, DisplayPublisher, Event, EventKind, Keys, LatestPublisher,
+    LossDisplay, Name, ParameterDisplay, time_ns,
 };
 use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
-use spandrel_service::{Monitored, Service as _, ServiceInstance};
+use spandrel_service::{EventPublisher, Monitored, Service as _, ServiceInstance};
 use spandrel_structure::Structure;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -78,6 +79,11 @@ impl Site {
     }
 
     async fn with(page: PageSettings) -> Self {
+        Self::of(page, "").await
+    }
+
+    /// Starts a page of the demo with more tables in its structure file.
+    async fn of(page: PageSettings, more: &str) -> Self {
         let root = format!(
             "dashboard-{}",
             TcpListener::bind("127.0.0.1:0")
@@ -94,7 +100,8 @@ impl Site {
         };
         let bus = Bus::open(&config).await.unwrap();
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/demo.toml");
-        let structure = Structure::read(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap() + more;
+        let structure = Structure::parse(&text, &path).unwrap();
         let keys = config.keys(structure.name()).unwrap();
         let parameter = bus
             .publish_display(keys.parameter(&name("storey-2")))
@@ -230,6 +237,12 @@ impl Client {
             body,
         )
         .await
+    }
+
+    async fn annotate(&self, headers: &str, body: &str) -> Answer {
+        let headers = format!("Content-Type: application/json\r\n{headers}");
+        let path = "/api/structures/demo/annotations";
+        self.request("POST", path, &headers, body).await
     }
 
     /// Queries the structures until the first one satisfies `is_there`.
@@ -431,11 +444,11 @@ async fn confirmed_acknowledgement_is_in_the_alerts_at_once() {
 async fn error_names_the_roles_if_the_router_would_drop_an_acknowledgement() {
     let why = "role dashboard may not acknowledge; roles that may: server, operator";
     let listen = Listen::At("127.0.0.1:0".into()).into();
-    let site = Site::with(PageSettings {
+    let page = PageSettings {
         cannot_acknowledge: Some(why.to_owned()),
         ..listen
-    })
-    .await;
+    };
+    let site = Site::of(page, JUDGE).await;
     let heard = site
         .bus
         .subscribe::<Acknowledgement>(site.keys.all_acknowledgements(), 8)
@@ -447,6 +460,88 @@ async fn error_names_the_roles_if_the_router_would_drop_an_acknowledgement() {
         .await
         .expect_refused(403, why);
     assert!(heard.messages().is_empty());
+    site.annotate("", r#"{"kind":"other","text":"x","who":"Ada"}"#)
+        .await
+        .expect_refused(403, why);
+    site.end().await;
+}
+
+/// Makes storey 2 of the demo a judged quantity.
+const JUDGE: &str = "\n[judge]\n[[judge.quantity]]\nname = \"storey-2\"\nis = \"stiffness\"\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn annotation_is_published_and_confirmed_by_the_service_judge() {
+    let site = Site::of(Listen::At("127.0.0.1:0".into()).into(), JUDGE).await;
+    let key = site.keys.annotation();
+    let heard = site.bus.subscribe::<Annotation>(key, 8).await.unwrap();
+    let events = EventPublisher::declare(&site.bus, &site.keys)
+        .await
+        .unwrap();
+    let keeping = async {
+        let (_, annotation) = heard.messages().recv_async().await.unwrap();
+        let event = Event {
+            structure: name("demo"),
+            time_ns: annotation.from_ns,
+            kind: EventKind::Annotation,
+            subject: "storey-2".to_owned(),
+            what: annotation.what(),
+            why: annotation.why(),
+        };
+        events.put(&event).await.unwrap();
+        annotation
+    };
+    let body = r#"{"kind":"repair","text":"new bearings","who":" Ada ","quantity":"storey-2",
+        "effect":"new-reference","from":"2025-01-01"}"#;
+    let (sent, annotation) = tokio::join!(site.annotate("", body), keeping);
+    assert_eq!(
+        (sent.status, sent.json()),
+        (200, json!({"sent": true, "kept": true}))
+    );
+    let expected = Annotation {
+        structure: name("demo"),
+        quantity: Some(name("storey-2")),
+        time_ns: annotation.time_ns,
+        from_ns: time_ns("2025-01-01").unwrap(),
+        to_ns: None,
+        kind: AnnotationKind::Repair,
+        effect: AnnotationEffect::NewReference,
+        who: "Ada".to_owned(),
+        text: "new bearings".to_owned(),
+    };
+    assert_eq!(annotation, expected);
+
+    let refused = async |body: &str, status: u16, told: &str| {
+        let answer = site.annotate("", body).await;
+        answer.expect_refused(status, told);
+    };
+    refused(
+        r#"{"kind":"other","text":" ","who":"Ada"}"#,
+        400,
+        "text is empty",
+    )
+    .await;
+    refused(
+        r#"{"kind":"other","text":"x","who":"Ada","from":"2200-01-01"}"#,
+        400,
+        "from is in the future",
+    )
+    .await;
+    refused(
+        r#"{"kind":"party","text":"x","who":"Ada"}"#,
+        422,
+        "unknown variant `party`",
+    )
+    .await;
+    let huge = format!(
+        r#"{{"kind":"other","text":"{}","who":"Ada"}}"#,
+        "a".repeat(20_000)
+    );
+    refused(&huge, 413, "").await;
+    let other = "Origin: https://example.org\r\n";
+    site.annotate(other, body)
+        .await
+        .expect_refused(403, "another site");
+    assert!(heard.messages().is_empty(), "what is refused is not sent");
     site.end().await;
 }
 

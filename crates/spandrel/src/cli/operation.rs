@@ -21,7 +21,7 @@ pub struct RouterArguments {
 pub enum TokenRole {
     /// Read access.
     Viewer,
-    /// Read access, and the right to acknowledge alerts.
+    /// Read access, and the right to acknowledge alerts and annotate structures.
     Operator,
 }
 

@@ -9,8 +9,8 @@ use crate::role_check::{Need, Work, check};
 use crate::services::block_on;
 use crate::settings::Settings;
 use spandrel_bus::{
-    Annotation, AnnotationEffect, Bus, Event, EventKind, Message, Name, Service, Status,
-    Subscription, TIMES, time_ns,
+    Annotation, AnnotationEffect, Bus, Event, Message, Name, Service, Status, Subscription, TIMES,
+    time_ns,
 };
 use spandrel_service::Clock;
 use std::time::Duration;
@@ -45,12 +45,7 @@ pub fn run(arguments: &AnnotateArguments) -> Result<(), AppError> {
         // The status shows that judge runs and is connected.
         heard(&statuses, |_| true).await?;
         publisher.put(&annotation).await?;
-        let is_confirmed = |event: &Event| {
-            event.kind == EventKind::Annotation
-                && event.time_ns == annotation.from_ns
-                && event.what == annotation.what()
-        };
-        heard(&events, is_confirmed).await?;
+        heard(&events, |event| annotation.is_confirmed_by(event)).await?;
         bus.close().await?;
         let subject = annotation
             .quantity
