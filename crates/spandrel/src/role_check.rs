@@ -244,6 +244,17 @@ mod tests {
         assert_eq!((lack("operator.grace"), lack("server.main")), (None, None));
     }
 
+    /// The page asks only for the right to acknowledge.
+    #[test]
+    fn a_role_that_may_acknowledge_may_annotate_and_hear_the_confirmation() {
+        for role in Role::ALL {
+            let allowed = rights(role);
+            let may = |need: Need| allowed.contains(&(need.right, need.family));
+            let both = may(Need::ANNOTATE) && may(Need::SEE_EVENTS);
+            assert!(both || !may(Need::ACKNOWLEDGE), "{role}");
+        }
+    }
+
     #[test]
     fn certificate_is_valid_only_for_its_structure_or_node() {
         let samples = [Need::PUT_SAMPLES];
