@@ -149,12 +149,23 @@ fn the_report_states_promise_achievement_and_what_would_be_missed() {
     let stdout = text(&output.stdout);
     for part in [
         "budget: 0.1 false alarms per year for 2 quantities",
+        "alarms: 1 in 144 days judged, 1 of them in the last year; false alarms promised for these \
+         days: 0.039",
         "false alarms per year: 0.050 promised",
         "loss of 5 %: found after",
         "loss of 1 %: mostly missed",
     ] {
         assert!(stdout.contains(part), "{part}\n{stdout}");
     }
+    let output = judge(
+        &example("footbridge.toml"),
+        &example("footbridge.csv"),
+        &["--report", "--json"],
+    );
+    let stdout = text(&output.stdout);
+    let last: serde_json::Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
+    assert_eq!(last["budget"]["alarms"], 1);
+    assert_eq!(last["budget"]["judged_days"], 144);
 }
 
 /// A mistake in the example, and a part of its message.

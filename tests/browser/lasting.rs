@@ -128,6 +128,7 @@ async fn the_first_quantity_has_lost_stiffness(browser: &mut Browser) {
     for part in [
         "2024-07-01 to 2025-06-30",
         "0.05, of 0.1 for the structure",
+        "1, of these 1 in the last year",
         "mostly missed",
     ] {
         let told = format!("{PANEL}.includes('{part}')");

@@ -61,7 +61,8 @@ pub use frames::FrameBlock;
 pub use header::{Header, MAX_SOURCE_BYTES};
 pub use history::{HistoryLog, HistoryRows, HistorySpan};
 pub use judgement::{
-    ChangeKind, ChangeSeen, DayExpectation, JudgementDisplay, JudgementState, LastingChange,
+    BudgetSpent, ChangeKind, ChangeSeen, DayExpectation, JudgementDisplay, JudgementState,
+    LastingChange,
 };
 pub use local::{
     LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,

@@ -89,7 +89,7 @@ export class LastingTab {
     const judgement = judgements.find(({ quantity }) => quantity === this.chosen);
     this.#show(judgement);
     // A new day, or another service that judges, changes the course.
-    const stamp = judgement ? JSON.stringify([this.chosen, judgement.day_ns, judgement.change, judgement.seen, judgement.state]) : null;
+    const stamp = judgement ? JSON.stringify([this.chosen, judgement.day_ns, judgement.change, judgement.seen, judgement.state, judgement.spent]) : null;
     if (stamp === this.#known) return;
     this.#known = stamp;
     if (judgement?.day_ns != null) this.span.newest_s = noon(judgement.day_ns);
@@ -132,6 +132,7 @@ export class LastingTab {
     setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? t("no-quantity")}`);
     setText(this.sentence, judgement?.sentence ?? t("the-service-judge-has-not-reported-yet"));
     const seen = judgement?.seen;
+    this.spent = judgement?.spent ?? null;
     this.seen.hidden = !seen;
     if (seen) setText(this.seen, t("seen-by-on", seen.who, dateOf(seen.time_ns / 1e9), seen.text));
   }
@@ -139,7 +140,7 @@ export class LastingTab {
   /** Shows what the reference promises, or what is missing. */
   #tell(course) {
     const fact = ([title, text]) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
-    this.facts.replaceChildren(...(course ? facts(course).map(fact) : []));
+    this.facts.replaceChildren(...(course ? [...facts(course), ...spending(this.spent)].map(fact) : []));
     const delays = course?.reference?.delays ?? [];
     const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? t("mostly-missed") : t("days", days)), h("td", {}, percent(share, 0)));
     const notes = (course?.annotations ?? []).toReversed();
@@ -167,6 +168,17 @@ function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
   const end = to === null ? "" : t("to-date", dateOf(to / 1e9));
   const what = EFFECTS[effect] ? `${wordOf(kind)}, ${EFFECTS[effect]}` : wordOf(kind);
   return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what), ` ${text} (${who})`);
+}
+
+/** Returns the facts of what the structure has spent of its budget: titles and texts. */
+function spending(spent) {
+  if (!spent) return [];
+  const { judged_days: days, promised, alarms, alarms_in_last_year: recent } = spent;
+  return [
+    [t("judged-so-far"), t("days", days)],
+    [t("alarms-of-the-structure"), t("alarms-of-them-in-the-last-year", alarms, recent)],
+    [t("false-alarms-promised-so-far"), number(promised)],
+  ];
 }
 
 /** Returns the facts of a course: titles and texts. */

@@ -115,6 +115,7 @@ pub(crate) fn lasting_loss(quantity: &str) -> JudgementDisplay {
             cusum_share: 1.2,
         }),
         false_alarms_per_year: 0.1,
+        spent: None,
     }
 }
 

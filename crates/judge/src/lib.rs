@@ -37,6 +37,7 @@
 //! - [`Settings`], [`Quantity`], [`Condition`]: what is judged, under which conditions
 //! - [`Epoch`], [`Judgement`], [`State`], [`Finding`]: what goes in and comes out
 //! - [`QuantityReport`]: what a reference promises and can find
+//! - [`Budget`], [`Spent`]: judged days and alarms against the promised false alarms
 //!
 //! Maths:
 //!
@@ -80,12 +81,14 @@ mod cumulant;
 mod cusum;
 mod detector;
 
+mod budget;
 mod condition_watch;
 mod course;
 mod judge;
 mod reference;
 mod report;
 
+pub use budget::{Budget, Spent};
 pub use calibration::{Delay, Performance};
 pub use epoch::Epoch;
 pub use error::JudgeError;

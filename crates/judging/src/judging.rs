@@ -3,10 +3,10 @@
 use crate::course::{Course, Subject, change, expectation, start_ns, state};
 use crate::epochs::ClosedEpoch;
 use spandrel_bus::{
-    Annotation, AnnotationEffect, ChangeSeen, Event, EventKind, JudgementCourse, JudgementDisplay,
-    LastingChange, Name, SpanQuery,
+    Annotation, AnnotationEffect, BudgetSpent, ChangeSeen, Event, EventKind, JudgementCourse,
+    JudgementDisplay, LastingChange, Name, SpanQuery,
 };
-use spandrel_judge::{Judge, JudgeError, Judgement, NewReference, Settings, State};
+use spandrel_judge::{Budget, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State};
 
 /// The judge of one structure, and its judgements.
 #[derive(Debug, Clone)]
@@ -18,6 +18,7 @@ pub(crate) struct Judging {
     conditions: Vec<Name>,
     /// What people have noted.
     annotations: Vec<Annotation>,
+    budget: Budget,
     /// Middle of the last epoch (ns since 1970-01-01 UTC).
     epoch_ns: Option<i64>,
     epochs: u64,
@@ -55,6 +56,7 @@ impl Judging {
             quantities: quantities.collect(),
             conditions,
             annotations: Vec::new(),
+            budget: Budget::default(),
             epoch_ns: None,
             epochs: 0,
             is_measured: true,
@@ -131,6 +133,7 @@ impl Judging {
         }
         let is_day_over = !judgements.is_empty();
         for judgement in judgements {
+            self.budget.count(&judgement);
             let mut quantities = self.quantities.iter_mut();
             let is_it =
                 |quantity: &&mut JudgedQuantity| quantity.name.as_str() == judgement.quantity;
@@ -148,6 +151,8 @@ impl Judging {
     /// Returns the state of every quantity. `time_ns` is the wall-clock time (ns since 1970-01-01
     /// UTC).
     pub(crate) fn displays(&self, time_ns: i64) -> Vec<JudgementDisplay> {
+        let false_alarms_per_year = self.judge.settings().false_alarms_per_year;
+        let spent = self.budget.spent(false_alarms_per_year);
         let display = |(index, quantity): (usize, &JudgedQuantity)| {
             // What was judged before a new reference no longer holds.
             let last = quantity.course.last();
@@ -170,7 +175,8 @@ impl Judging {
                 change,
                 sentence: judgement.sentence(),
                 expectation: judgement.expectation.as_ref().map(expectation),
-                false_alarms_per_year: self.judge.settings().false_alarms_per_year,
+                false_alarms_per_year,
+                spent: Some(budget_spent(spent)),
             }
         };
         self.quantities.iter().enumerate().map(display).collect()
@@ -231,6 +237,21 @@ pub fn new_reference(annotation: &Annotation, settings: &Settings) -> Option<New
         time_s: ClosedEpoch::time_s(annotation.from_ns),
         quantity,
     })
+}
+
+fn budget_spent(spent: Spent) -> BudgetSpent {
+    let Spent {
+        judged_days,
+        promised,
+        alarms,
+        alarms_in_last_year,
+    } = spent;
+    BudgetSpent {
+        judged_days,
+        promised,
+        alarms,
+        alarms_in_last_year,
+    }
 }
 
 fn event(structure: &Name, judgement: &Judgement, time_ns: i64) -> Option<Event> {

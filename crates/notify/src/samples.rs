@@ -132,5 +132,6 @@ fn judgement(structure: &Name, quantity: Name, interval: CredibleInterval) -> Ju
         sentence: "TEST: test-part has lost 12.0 % of stiffness (made-up values).".to_owned(),
         expectation: None,
         false_alarms_per_year: 0.1,
+        spent: None,
     }
 }

@@ -3,8 +3,8 @@
 use serde_json::json;
 use spandrel_bus::CourseRow;
 use spandrel_judge::{
-    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, State,
-    YEAR_DAYS, date,
+    Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, Spent,
+    State, YEAR_DAYS, date,
 };
 use spandrel_judging::{LEAST_LN_EVIDENCE, course_row};
 use spandrel_structure::JudgedStructure;
@@ -223,13 +223,20 @@ pub fn course_csv(settings: &Settings, judgements: &[Judgement]) -> String {
     text
 }
 
-/// Returns what each quantity promises, achieves, finds and misses.
-pub fn report_text(settings: &Settings, reports: &[QuantityReport]) -> String {
+/// Returns what has been spent of the budget, and what each quantity promises, achieves, finds and
+/// misses.
+pub fn report_text(settings: &Settings, spent: &Spent, reports: &[QuantityReport]) -> String {
     let mut text = format!(
-        "\nbudget: {} false alarms per year for {} quantities; loss that matters: {:.1} %\n",
+        "\nbudget: {} false alarms per year for {} quantities; loss that matters: {:.1} %\n\
+         alarms: {} in {} days judged, {} of them in the last year; false alarms promised for \
+         these days: {}\n",
         settings.false_alarms_per_year,
         settings.quantities.len(),
-        100.0 * settings.loss
+        100.0 * settings.loss,
+        spent.alarms,
+        spent.judged_days,
+        spent.alarms_in_last_year,
+        rate(spent.promised)
     );
     for report in reports {
         // Writing to a string cannot fail.

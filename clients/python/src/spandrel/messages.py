@@ -280,6 +280,17 @@ class ChangeSeen:
 
 
 @dataclass(frozen=True)
+class BudgetSpent:
+    """The alarms of a structure, and the false alarms promised for the same time."""
+
+    #: Number of days on which at least one quantity was judged.
+    judged_days: int
+    promised: float
+    alarms: int
+    alarms_in_last_year: int
+
+
+@dataclass(frozen=True)
 class DayExpectation:
     """Expected value of a day, and how far the measured value is from it."""
 
@@ -315,6 +326,8 @@ class Judgement:
     false_alarms_per_year: float
     #: The person who has seen the change, if somebody has.
     seen: Optional[ChangeSeen] = None
+    #: What all quantities of the structure have spent of the budget.
+    spent: Optional[BudgetSpent] = None
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,19 @@ pub struct ChangeSeen {
     pub time_ns: i64,
 }
 
+/// The alarms of a structure, and the false alarms that its budget promises for the same time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BudgetSpent {
+    /// Number of days on which at least one quantity was judged.
+    pub judged_days: u32,
+    /// Number of false alarms that the budget promises for these days.
+    pub promised: f64,
+    /// Number of alarms of all quantities, true or false.
+    pub alarms: u32,
+    /// Number of alarms in the last 365 days.
+    pub alarms_in_last_year: u32,
+}
+
 /// Expected value of a day, and how far the measured value is from it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DayExpectation {
@@ -159,6 +172,10 @@ pub struct JudgementDisplay {
     pub expectation: Option<DayExpectation>,
     /// Budget: promised number of false alarms per year, for all quantities of the structure.
     pub false_alarms_per_year: f64,
+    /// What all quantities of the structure have spent of the budget. `None` from a service that
+    /// does not count it.
+    #[serde(default)]
+    pub spent: Option<BudgetSpent>,
 }
 
 impl JudgementDisplay {
@@ -185,6 +202,9 @@ impl Message for JudgementDisplay {
             0.0,
             f64::MAX,
         )?;
+        if let Some(spent) = &self.spent {
+            check_range("promised false alarms", spent.promised, 0.0, f64::MAX)?;
+        }
         if let Some(change) = &self.change {
             change.check()?;
         }
@@ -271,6 +291,12 @@ mod tests {
                 cusum_share: 1.1,
             }),
             false_alarms_per_year: 0.1,
+            spent: Some(BudgetSpent {
+                judged_days: 200,
+                promised: 0.055,
+                alarms: 1,
+                alarms_in_last_year: 1,
+            }),
         }
     }
 
@@ -289,6 +315,19 @@ mod tests {
             let json = serde_json::to_string(&kind).unwrap();
             assert_eq!(json, format!("\"{}\"", kind.as_str()));
         }
+    }
+
+    #[test]
+    fn a_message_without_the_spent_budget_is_read() {
+        let text = String::from_utf8(display().encode().unwrap()).unwrap();
+        let (before, _) = text.split_once(",\"spent\":").unwrap();
+        let old = format!("{before}}}");
+        let decoded = JudgementDisplay::decode("application/json", old.as_bytes()).unwrap();
+        let expected = JudgementDisplay {
+            spent: None,
+            ..display()
+        };
+        assert_eq!(decoded, expected);
     }
 
     #[test]
@@ -312,6 +351,9 @@ mod tests {
         let mut wrong = display();
         "a\nb".clone_into(&mut wrong.seen.as_mut().unwrap().who);
         assert!(matches!(wrong.check(), Err(Malformed::Control { .. })));
+        let mut wrong = display();
+        wrong.spent.as_mut().unwrap().promised = f64::INFINITY;
+        assert!(wrong.check().is_err());
         let wrong = JudgementDisplay {
             false_alarms_per_year: -1.0,
             ..display()

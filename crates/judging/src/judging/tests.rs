@@ -66,6 +66,11 @@ fn a_loss_is_one_event_and_remains_the_word_of_the_state() {
     let since = change.since_ns / start_ns(1);
     assert!((58..63).contains(&since), "{since}");
     assert_eq!(change.interval.level, 0.95);
+    let spent = display.spent.unwrap();
+    assert!((40..60).contains(&spent.judged_days), "{spent:?}");
+    assert_eq!((spent.alarms, spent.alarms_in_last_year), (1, 1));
+    let promised = 0.1 * f64::from(spent.judged_days) / 365.25;
+    assert!((spent.promised - promised).abs() < 1e-12, "{spent:?}");
 }
 
 #[test]

@@ -16,7 +16,7 @@ pub struct JudgeArguments {
     /// The structure file then needs no model.
     #[arg(long, value_name = "FILE")]
     pub series: Vec<PathBuf>,
-    /// Print what each reference promises, what it achieves, and what it misses.
+    /// Print what each reference promises, achieves and misses, and the alarms so far.
     #[arg(long)]
     pub report: bool,
     /// Print one JSON object per line: every judgement of every day.

@@ -8,7 +8,7 @@ use crate::error::AppError;
 use crate::judge_report::{DayLine, Summary, course_csv, report_text};
 use crate::services::Share;
 use spandrel_bus::{is_without_date, read_text_up_to};
-use spandrel_judge::{Epoch, Judge};
+use spandrel_judge::{Budget, Epoch, Judge};
 use spandrel_judging::{new_reference, read_annotations};
 use spandrel_record::{ChannelColumn, ColumnMapping, CsvReader, RecordError, RecordReader};
 use spandrel_structure::{JudgePlan, JudgedStructure};
@@ -62,6 +62,11 @@ pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
         })?;
     }
     judge.finish(&mut judgements);
+    let mut budget = Budget::default();
+    judgements
+        .iter()
+        .for_each(|judgement| budget.count(judgement));
+    let spent = budget.spent(judge.settings().false_alarms_per_year);
     if let Some(file) = &arguments.course {
         let text = course_csv(judge.settings(), &judgements);
         std::fs::write(file, text).map_err(|source| RecordError::Open {
@@ -78,12 +83,13 @@ pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
             for report in judge.report() {
                 let _ = writeln!(text, "{}", serde_json::json!({ "report": report }));
             }
+            let _ = writeln!(text, "{}", serde_json::json!({ "budget": spent }));
         }
         return print(&text);
     }
     let mut text = Summary::new(&structure.name, epochs, &judgements).to_string();
     if arguments.report {
-        text += &report_text(judge.settings(), &judge.report());
+        text += &report_text(judge.settings(), &spent, &judge.report());
     }
     print(&text)
 }

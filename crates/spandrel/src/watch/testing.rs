@@ -158,6 +158,7 @@ pub fn lasting_loss(quantity: &str) -> JudgementDisplay {
         sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
         expectation: None,
         false_alarms_per_year: 0.1,
+        spent: None,
     }
 }
 
