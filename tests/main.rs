@@ -68,5 +68,6 @@ mod state_folder;
 mod streaming;
 mod traffic;
 mod upgrade;
+mod validate;
 mod watch;
 mod wrong_clock;

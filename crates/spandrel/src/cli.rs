@@ -190,7 +190,8 @@ pub enum Command {
     /// Run the published examples of the method and compare the results with the published figures.
     #[command(after_help = "Examples: spandrel validate --quick\n          \
                       spandrel validate outlier.oscillator --seed 17 --seed 5\n          \
-                      spandrel validate ekf.bridge outlier --seeds 101..105 --report validation")]
+                      spandrel validate ekf.bridge outlier --seeds 101..105 --report validation\n\
+                      \x20         spandrel validate judge --records ../shared/data")]
     Validate(ValidateArguments),
     /// Measure how many structures this machine can monitor in real time, and with what latency.
     #[command(after_help = "Examples: spandrel bench --structures 100\n          \

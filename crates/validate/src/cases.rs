@@ -46,6 +46,17 @@ pub struct Case {
     pub(crate) run: fn(&Run<'_>) -> Result<Outcome, ValidateError>,
 }
 
+impl Case {
+    /// Returns `true` if the case reads records of real structures, which are not part of the
+    /// project.
+    #[must_use]
+    pub fn needs_records(&self) -> bool {
+        judging::REAL_CASES
+            .iter()
+            .any(|real| real.name == self.name)
+    }
+}
+
 const BOOK_2: &str = "Huang & Yuen (2023), chapter 2";
 const BOOK_3: &str = "Huang & Yuen (2023), chapter 3";
 const YUEN_2013: &str = "Yuen, Liang & Kuok (2013)";
@@ -280,6 +291,7 @@ pub fn cases() -> &'static [&'static Case] {
             .chain(robustness::CASES)
             .chain(fit::CASES)
             .chain(judging::CASES)
+            .chain(judging::REAL_CASES)
             .chain(modal::CASES)
             .collect()
     });

@@ -28,7 +28,7 @@ pub enum ValidateError {
     /// An example file could not be run through the cores of the services.
     #[error("the example could not be run: {0}")]
     Fit(String),
-    /// A simulated series could not be judged.
+    /// A series could not be judged.
     #[error("the judgement stopped")]
     Judge(#[from] spandrel_judge::JudgeError),
     /// A simulated epoch could not be identified.
@@ -37,6 +37,9 @@ pub enum ValidateError {
     /// A real record has no result.
     #[error(transparent)]
     Records(#[from] crate::robustness::records::RecordsError),
+    /// The case reads records of real structures, and the plan has none.
+    #[error("this case needs the records of real structures (--records DIR)")]
+    NoRecords,
     /// The run was asked to stop.
     #[error("stopped")]
     Stopped,

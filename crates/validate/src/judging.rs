@@ -3,8 +3,13 @@
 //! A run simulates many structures, each in its own climate. The simulation shares no equation with
 //! the judgement. A structure that is not ready counts as sound years without an alarm, and as a
 //! loss that is not judged.
+//!
+//! `series` judges real structures.
 
 mod bridge;
+mod series;
+
+pub(crate) use series::CASES as REAL_CASES;
 
 use crate::cases::Case;
 use crate::error::ValidateError;
@@ -13,7 +18,8 @@ use crate::outcome::Outcome;
 use crate::run::{Length, Run};
 use bridge::{Loss, Site, Wanted, epochs};
 use spandrel_judge::{
-    Condition, ConditionKind, Judge, Judgement, Quantity, QuantityKind, Season, Settings, State,
+    Condition, ConditionKind, Epoch, Judge, Judgement, Quantity, QuantityKind, Season, Settings,
+    State,
 };
 
 const SOURCE: &str = "Lasting change, simulated";
@@ -70,27 +76,54 @@ pub(crate) static CASES: &[Case] = &[
 
 /// Judges the simulated structure of a seed.
 fn judge(seed: u64, wanted: Wanted) -> Result<(Judge, Vec<Judgement>), ValidateError> {
-    let quantity = |mode: usize| Quantity {
-        name: format!("mode-{}", mode + 1),
+    let modes = &["mode-1", "mode-2"][..wanted.modes];
+    let settings = settings(modes, &["temperature"], wanted.days - JUDGED_DAYS);
+    judged(settings, &epochs(seed, wanted))
+}
+
+/// Returns the settings of natural frequencies under temperatures (°C).
+fn settings(modes: &[&str], temperatures: &[&str], commissioning_days: u32) -> Settings {
+    let quantity = |name: &&str| Quantity {
+        name: (*name).to_owned(),
         kind: QuantityKind::Frequency,
     };
-    let mut judge = Judge::new(Settings {
+    let condition = |name: &&str| Condition {
+        name: (*name).to_owned(),
+        kind: ConditionKind::Celsius,
+    };
+    Settings {
         false_alarms_per_year: BUDGET,
         loss: Settings::LOSS,
-        commissioning_days: wanted.days - JUDGED_DAYS,
+        commissioning_days,
         season: Season::Required,
-        quantities: (0..wanted.modes).map(quantity).collect(),
-        conditions: vec![Condition {
-            name: "temperature".to_owned(),
-            kind: ConditionKind::Celsius,
-        }],
-    })?;
+        quantities: modes.iter().map(quantity).collect(),
+        conditions: temperatures.iter().map(condition).collect(),
+    }
+}
+
+/// Judges all epochs.
+fn judged(settings: Settings, epochs: &[Epoch]) -> Result<(Judge, Vec<Judgement>), ValidateError> {
+    let mut judge = Judge::new(settings)?;
     let mut judgements = Vec::new();
-    for epoch in epochs(seed, wanted) {
-        judge.handle(&epoch, &mut judgements)?;
+    for epoch in epochs {
+        judge.handle(epoch, &mut judgements)?;
     }
     judge.finish(&mut judgements);
     Ok((judge, judgements))
+}
+
+/// Returns `true` on the day on which an alarm is raised.
+fn raises_alarm(judgement: &Judgement) -> bool {
+    judgement.raised && judgement.finding.is_some_and(|finding| finding.is_alarm())
+}
+
+/// Returns whether the value of a judged day is in its 95 % interval. `None` if the day was not
+/// judged.
+fn is_inside(judgement: &Judgement) -> Option<bool> {
+    let judged = judgement.state == State::Judged;
+    let expectation = judgement.expectation.filter(|_| judged)?;
+    let [low, high] = expectation.interval;
+    Some((low..=high).contains(&expectation.measured))
 }
 
 /// Returns the seed of a structure of a run, and the day of the year on which its series begins.
@@ -126,10 +159,7 @@ impl Counts {
             self.days += f64::from(u8::from(!commissioning));
             let outside = matches!(judgement.state, State::OutsideExperience { .. });
             self.outside += f64::from(u8::from(outside));
-            let judged = judgement.state == State::Judged;
-            if let Some(expectation) = judgement.expectation.filter(|_| judged) {
-                let [low, high] = expectation.interval;
-                let inside = (low..=high).contains(&expectation.measured);
+            if let Some(inside) = is_inside(judgement) {
                 self.judged += 1.0;
                 self.inside += f64::from(u8::from(inside));
             }
@@ -274,10 +304,7 @@ fn delay(
     if reference.is_none_or(|reference| reference.to_day >= day) {
         return Ok(None);
     }
-    let is_alarm = |judgement: &&Judgement| {
-        judgement.raised && judgement.finding.is_some_and(|finding| finding.is_alarm())
-    };
-    let alarm = judgements.iter().find(is_alarm);
+    let alarm = judgements.iter().find(|judgement| raises_alarm(judgement));
     Ok(match alarm.map(|alarm| alarm.day - day + 1) {
         Some(days) if days <= 0 => None,
         found => Some(found),

@@ -427,6 +427,7 @@ mod tests {
             let outcome = (case.run)(&Run {
                 seed: 1,
                 length: Length::Quick,
+                records: None,
                 advanced: &|_| {},
                 stopped: &AtomicBool::new(false),
             });

@@ -6,7 +6,7 @@ use crate::kept::{Done, Kept};
 use crate::outcome::Outcome;
 use crate::report::{CaseReport, Program, Report};
 use crate::run::{Length, Run};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -43,6 +43,7 @@ pub struct Plan {
     length: Length,
     threads: usize,
     kept: Option<Kept>,
+    records: Option<PathBuf>,
     stopped: AtomicBool,
 }
 
@@ -58,6 +59,7 @@ impl Plan {
             length,
             threads: 1,
             kept: None,
+            records: None,
             stopped: AtomicBool::new(false),
         }
     }
@@ -77,6 +79,15 @@ impl Plan {
     #[must_use]
     pub fn keep(mut self, directory: &Path, mark: impl Into<String>) -> Self {
         self.kept = Some(Kept::new(directory, mark.into()));
+        self
+    }
+
+    /// Sets the folder with the records of real structures, one folder per structure.
+    ///
+    /// A case that [needs records](Case::needs_records) fails without it.
+    #[must_use]
+    pub fn records(mut self, folder: &Path) -> Self {
+        self.records = Some(folder.to_owned());
         self
     }
 
@@ -200,6 +211,7 @@ impl Plan {
             (case.run)(&Run {
                 seed,
                 length: self.length,
+                records: self.records.as_deref(),
                 advanced: &advanced,
                 stopped: &self.stopped,
             })

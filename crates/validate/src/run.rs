@@ -1,5 +1,7 @@
-//! A run of a case: its seed, its length and its progress.
+//! A run of a case: its seed, its length, its records and its progress.
 
+use crate::error::ValidateError;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Simulated length of the published records.
@@ -18,6 +20,8 @@ pub struct Run<'a> {
     pub seed: u64,
     /// Simulated length.
     pub length: Length,
+    /// Folder with the records of real structures.
+    pub(crate) records: Option<&'a Path>,
     pub(crate) advanced: &'a (dyn Fn(f64) + Sync),
     pub(crate) stopped: &'a AtomicBool,
 }
@@ -29,6 +33,14 @@ impl Run<'_> {
             Length::Full => full,
             Length::Quick => quick,
         }
+    }
+
+    /// Returns the folder with the records of real structures.
+    ///
+    /// # Errors
+    /// Returns an error if the plan has no records.
+    pub(crate) fn records(&self) -> Result<&Path, ValidateError> {
+        self.records.ok_or(ValidateError::NoRecords)
     }
 
     /// Reports this share of the case (0 to 1) as done. Returns `true` if the run should continue.

@@ -10,7 +10,6 @@
 mod inertia;
 mod injected;
 mod lasting;
-mod real_series;
 #[path = "../../../../tests/support/skip.rs"]
 #[expect(dead_code, reason = "other programs use the rest of it")]
 mod skip;

@@ -345,13 +345,16 @@ pub struct ValidateArguments {
     /// 4..8 means 4, 5, 6, 7, 8. A single number N means 1..N.
     #[arg(long, value_name = "FIRST..LAST")]
     pub seeds: Option<Seeds>,
-    /// Identify the records of real structures below DIR instead of running cases, and print the
-    /// results.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["cases", "quick", "seed", "seeds", "report", "list"])]
+    /// Read the records of real structures below DIR. Cases that need them are otherwise skipped.
+    ///
+    /// Without CASE, identify these records and print the results, then run only the cases that
+    /// need them.
+    #[arg(long, value_name = "DIR", conflicts_with = "list")]
     pub records: Option<PathBuf>,
 
     /// Identify the records again with one faulty sensor each, which takes some minutes.
     #[arg(long, requires = "records")]
+    #[arg(conflicts_with_all = ["cases", "quick", "seed", "seeds", "report"])]
     pub faulty_sensors: bool,
     /// Number of concurrent cases [default: number of cores].
     #[arg(long, value_name = "N")]

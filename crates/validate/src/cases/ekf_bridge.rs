@@ -307,6 +307,7 @@ mod tests {
         let run = Run {
             seed: 21,
             length: Length::Quick,
+            records: None,
             advanced: &|_| {},
             stopped: &AtomicBool::new(false),
         };
