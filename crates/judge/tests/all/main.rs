@@ -8,10 +8,6 @@
 )]
 
 mod inertia;
-mod injected;
 mod lasting;
-#[path = "../../../../tests/support/skip.rs"]
-#[expect(dead_code, reason = "other programs use the rest of it")]
-mod skip;
 mod state;
 mod support;

@@ -11,7 +11,7 @@ use super::{BUDGET, LARGEST_RATE, is_inside, judged, raises_alarm, settings};
 use crate::cases::Case;
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
-use crate::outcome::Outcome;
+use crate::outcome::{Outcome, Table};
 use crate::run::Run;
 use spandrel_judge::{Epoch, Finding, Judge, Judgement, Missing, Season, State};
 use std::ops::Range;
@@ -64,6 +64,13 @@ pub(crate) static CASES: &[Case] = &[
         source: SOURCE,
         weight: 1.0,
         run: no_temperature,
+    },
+    Case {
+        name: "judge.z24.losses",
+        title: "The sound days of the Z24 bridge, a loss of frequency of one mode on a date",
+        source: SOURCE,
+        weight: 150.0,
+        run: losses,
     },
     Case {
         name: "judge.sciri-tower",
@@ -362,6 +369,124 @@ fn no_temperature(run: &Run<'_>) -> Result<Outcome, ValidateError> {
     let (judge, judgements) = judged(settings, &bridge(run, &[])?)?;
     let sound = judgements.iter().filter(|one| one.day < DAMAGE_DAY);
     Ok(outcome(vec![no_alarm(4, sound), not_ready(4, &judge)]))
+}
+
+/// A loss of frequency that is injected into the bridge.
+struct Loss {
+    /// Index of the mode.
+    mode: usize,
+    /// Share of the frequency.
+    share: f64,
+    /// Day of the loss.
+    date: i64,
+}
+
+impl Loss {
+    /// Returns the first alarm of a judge that reads these epochs with the loss.
+    fn first_alarm(
+        &self,
+        judge: &Judge,
+        epochs: &[Epoch],
+    ) -> Result<Option<Judgement>, ValidateError> {
+        let mut judge = judge.clone();
+        let mut judgements = Vec::new();
+        for epoch in epochs {
+            let mut epoch = epoch.clone();
+            if day(&epoch) >= self.date {
+                let value = &mut epoch.quantities[self.mode];
+                *value = value.map(|hertz| hertz * (1.0 - self.share));
+            }
+            judge.handle(&epoch, &mut judgements)?;
+        }
+        Ok(judgements.into_iter().find(raises_alarm))
+    }
+}
+
+/// Last day before the losses, and their last date.
+const BEFORE_LOSSES: i64 = 134;
+const LAST_DATE: i64 = 173;
+
+/// The bridge is warmer than ever before on days 149 to 153 and 163 to 169. A loss on such a day
+/// must not be mistaken for the effect of the warmth.
+fn losses(run: &Run<'_>) -> Result<Outcome, ValidateError> {
+    let epochs = bridge(run, &PAVEMENT)?;
+    let before = |end: i64| epochs.partition_point(|epoch| day(epoch) < end);
+    let (start, end) = (before(BEFORE_LOSSES), before(DAMAGE_DAY));
+    let mut judge = Judge::new(settings(&MODES, &PAVEMENT, COMMISSIONING))?;
+    let mut judgements = Vec::new();
+    for epoch in &epochs[..start] {
+        judge.handle(epoch, &mut judgements)?;
+    }
+    let shares = run.pick(vec![0.01, 0.02, 0.03, 0.05], vec![0.05]);
+    let (first_date, every_days) = run.pick((135, 2), (137, 15));
+    let dates: Vec<i64> = (first_date..=LAST_DATE).step_by(every_days).collect();
+    let all = (MODES.len() * shares.len() * dates.len()) as f64;
+    let (mut done, mut wrong) = (0.0, 0.0);
+    let mut figures = Vec::new();
+    let mut not_found = Vec::new();
+    for (mode, name) in MODES.iter().enumerate() {
+        for &share in &shares {
+            let (mut delays, mut missed) = (Vec::new(), Vec::new());
+            for &date in &dates {
+                if !run.advance(done / all) {
+                    return Err(ValidateError::Stopped);
+                }
+                done += 1.0;
+                let loss = Loss { mode, share, date };
+                match loss.first_alarm(&judge, &epochs[start..end])? {
+                    Some(alarm) if alarm.quantity == *name && alarm.day >= date => {
+                        delays.push((alarm.day - date + 1) as f64);
+                    }
+                    other => {
+                        wrong += f64::from(u8::from(other.is_some()));
+                        missed.push(date.to_string());
+                    }
+                }
+            }
+            let found = delays.len() as f64 / dates.len() as f64;
+            delays.sort_by(f64::total_cmp);
+            let median = delays.get(dates.len() / 2).copied();
+            let percent = 100.0 * share;
+            let large = Required::AtLeast(0.9);
+            figures.extend([
+                Figure::new(
+                    format!("point 7: {name}, loss of {percent:.0} %: share found"),
+                    found,
+                    if share < 0.05 {
+                        Required::Reported
+                    } else {
+                        large
+                    },
+                ),
+                Figure::new(
+                    format!("point 7: {name}, loss of {percent:.0} %: median delay (days)"),
+                    median.unwrap_or(f64::NAN),
+                    Required::Reported,
+                ),
+            ]);
+            if !missed.is_empty() {
+                let loss = format!("{percent:.0} %");
+                not_found.push(vec![(*name).to_owned(), loss, missed.join(", ")]);
+            }
+        }
+    }
+    figures.push(Figure::new(
+        "alarms before the loss, or of another mode",
+        wrong,
+        Required::AtMost(0.0),
+    ));
+    let table = Table {
+        title: "Losses that raise no alarm until day 200".to_owned(),
+        columns: ["mode", "loss of frequency", "dates (day)"]
+            .map(str::to_owned)
+            .to_vec(),
+        rows: not_found,
+    };
+    Ok(Outcome {
+        figures,
+        tables: vec![table],
+        ..Outcome::default()
+    })
 }
 
 fn tower(run: &Run<'_>) -> Result<Outcome, ValidateError> {

@@ -1,58 +1,9 @@
-//! Series for the tests: tables from `shared/data`, and a simulated structure.
+//! Settings for the tests, and what they read in the judgements.
 
-use crate::skip::records_or_skip;
 use spandrel_judge::{
     Condition, ConditionKind, Epoch, Judge, Judgement, Quantity, QuantityKind, Season, Settings,
     State,
 };
-use std::collections::BTreeMap;
-
-/// A table: columns of text by name.
-pub struct Table(pub BTreeMap<String, Vec<String>>);
-
-/// Reads a CSV file of `shared/data`, or skips the test.
-pub fn table_or_skip(name: &str) -> Option<Table> {
-    let text = std::fs::read_to_string(records_or_skip(name)?).unwrap();
-    let mut lines = text.lines();
-    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
-    let mut columns = vec![Vec::new(); names.len()];
-    for line in lines {
-        for (column, field) in columns.iter_mut().zip(line.split(',')) {
-            column.push(field.to_owned());
-        }
-    }
-    let names = names.into_iter().map(str::to_owned);
-    Some(Table(names.zip(columns).collect()))
-}
-
-impl Table {
-    pub fn numbers(&self, column: &str) -> Vec<f64> {
-        self.0[column]
-            .iter()
-            .map(|text| text.parse().unwrap_or(f64::NAN))
-            .collect()
-    }
-
-    /// Returns one epoch per row.
-    pub fn epochs(&self, times_s: &[f64], quantities: &[&str], conditions: &[&str]) -> Vec<Epoch> {
-        let columns = |names: &[&str]| -> Vec<Vec<f64>> {
-            names.iter().map(|name| self.numbers(name)).collect()
-        };
-        let (quantities, conditions) = (columns(quantities), columns(conditions));
-        let row = |columns: &[Vec<f64>], row: usize| {
-            let values = columns.iter().map(|column| column[row]);
-            values
-                .map(|value| value.is_finite().then_some(value))
-                .collect()
-        };
-        let epoch = |(index, time_s): (usize, &f64)| Epoch {
-            time_s: *time_s,
-            quantities: row(&quantities, index),
-            conditions: row(&conditions, index),
-        };
-        times_s.iter().enumerate().map(epoch).collect()
-    }
-}
 
 /// Settings of natural frequencies under temperatures in °C.
 pub fn settings(quantities: &[&str], conditions: &[&str], commissioning_days: u32) -> Settings {
