@@ -4,8 +4,8 @@ use crate::support::records_or_skip;
 use std::process::Command;
 
 /// Cases that read records, and the folders with these records.
-const CASES: [&str; 2] = ["judge.z24", "judge.sciri-tower"];
-const FOLDERS: [&str; 2] = ["z24-monitoring", "sciri-tower"];
+const CASES: [&str; 3] = ["judge.z24", "judge.sciri-tower", "judge.painter"];
+const FOLDERS: [&str; 3] = ["z24-monitoring", "sciri-tower", "painter-street-bridge"];
 
 /// Runs the acceptance of the judgement of real structures. The figures are in docs/validation.md.
 #[test]

@@ -31,6 +31,9 @@ pub enum ValidateError {
     /// A series could not be judged.
     #[error("the judgement stopped")]
     Judge(#[from] spandrel_judge::JudgeError),
+    /// The recordings of earthquakes could not be judged.
+    #[error("the earthquakes could not be judged: {0}")]
+    Earthquakes(String),
     /// A simulated epoch could not be identified.
     #[error("the identification of modes stopped")]
     Modal(#[from] spandrel_modal::ModalError),

@@ -4,9 +4,10 @@
 //! the judgement. A structure that is not ready counts as sound years without an alarm, and as a
 //! loss that is not judged.
 //!
-//! `series` judges real structures.
+//! `series` and `overpass` judge real structures.
 
 mod bridge;
+mod overpass;
 mod series;
 
 pub(crate) use series::CASES as REAL_CASES;

@@ -39,5 +39,5 @@ pub use figure::{Figure, Judgement, Required};
 pub use outcome::{Outcome, Plot, Series, SeriesKind, Table};
 pub use plan::{Plan, Quiet, Watch};
 pub use report::{CaseReport, FigureReport, Program, Report};
-pub use run::{Length, Run};
+pub use run::{JudgeEarthquakes, JudgedStiffness, Length, Records, Run};
 pub use seeds::{Seeds, SeedsError};

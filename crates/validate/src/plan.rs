@@ -5,8 +5,8 @@ use crate::error::ValidateError;
 use crate::kept::{Done, Kept};
 use crate::outcome::Outcome;
 use crate::report::{CaseReport, Program, Report};
-use crate::run::{Length, Run};
-use std::path::{Path, PathBuf};
+use crate::run::{Length, Records, Run};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -43,7 +43,7 @@ pub struct Plan {
     length: Length,
     threads: usize,
     kept: Option<Kept>,
-    records: Option<PathBuf>,
+    records: Option<Records>,
     stopped: AtomicBool,
 }
 
@@ -82,12 +82,12 @@ impl Plan {
         self
     }
 
-    /// Sets the folder with the records of real structures, one folder per structure.
+    /// Sets the records of real structures.
     ///
-    /// A case that [needs records](Case::needs_records) fails without it.
+    /// A case that [needs records](Case::needs_records) fails without them.
     #[must_use]
-    pub fn records(mut self, folder: &Path) -> Self {
-        self.records = Some(folder.to_owned());
+    pub fn records(mut self, records: Records) -> Self {
+        self.records = Some(records);
         self
     }
 
@@ -211,7 +211,7 @@ impl Plan {
             (case.run)(&Run {
                 seed,
                 length: self.length,
-                records: self.records.as_deref(),
+                records: self.records.as_ref(),
                 advanced: &advanced,
                 stopped: &self.stopped,
             })

@@ -2,13 +2,21 @@
 
 use super::{print, progress};
 use crate::cli::ValidateArguments;
+use crate::earthquake::course::Course;
+use crate::earthquake::event_record::EventRecord;
+use crate::earthquake::report::{EventName, ReportSettings};
+use crate::earthquake::storeys::with_displacements;
 use crate::error::AppError;
 use indicatif::{MultiProgress, ProgressBar};
+use spandrel_structure::Structure;
 use spandrel_validate::robustness::records::{Extent, real_records};
-use spandrel_validate::{Case, Length, Outcome, Plan, Report, ValidateError, Watch, cases, select};
+use spandrel_validate::{
+    Case, JudgedStiffness, Length, Outcome, Plan, Records, Report, ValidateError, Watch, cases,
+    select,
+};
 use std::collections::HashMap;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Number of steps of a bar, so that it shows the progress of a case to a thousandth.
@@ -48,7 +56,10 @@ pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
         plan = plan.keep(&directory.join("outcomes"), program_mark());
     }
     if let Some(folder) = &arguments.records {
-        plan = plan.records(folder);
+        plan = plan.records(Records {
+            folder: folder.clone(),
+            judge_earthquakes,
+        });
     }
     let report = plan.run(&Bars::default())?;
     if let Some(directory) = &arguments.report {
@@ -108,6 +119,30 @@ fn records(folder: &Path, extent: Extent, json: bool) -> Result<usize, AppError>
     .map_err(ValidateError::from)?;
     printed?;
     Ok(rows.iter().filter(|row| row.passed == Some(false)).count())
+}
+
+/// Judges recordings of earthquakes, which are in the order of time, as `spandrel earthquake` does.
+fn judge_earthquakes(
+    structure: &Structure,
+    recordings: &[PathBuf],
+) -> Result<Vec<Vec<JudgedStiffness>>, String> {
+    let judge = || -> Result<_, AppError> {
+        let settings = ReportSettings::of(structure.earthquakes());
+        let with = with_displacements(structure.clone(), Path::new(""));
+        let mut course = Course::new(with, settings)?;
+        let mut judged = Vec::new();
+        for path in recordings {
+            let record = EventRecord::read(structure, path)?;
+            let report = course.report(&record, EventName::new(structure, &record), &[])?;
+            let stiffnesses = report.parameters.into_iter().map(|one| JudgedStiffness {
+                judgement: one.judgement,
+                coverage: one.coverage,
+            });
+            judged.push(stiffnesses.collect());
+        }
+        Ok(judged)
+    };
+    judge().map_err(|error| error.report())
 }
 
 /// Returns the requested seeds without duplicates, in the order of the command line.

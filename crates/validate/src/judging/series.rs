@@ -1,5 +1,5 @@
-//! Lasting change of two real structures: a bridge over a year with frost and then damage, and a
-//! tower.
+//! Lasting change of real structures: a bridge over a year with frost and then damage, and a tower.
+//! `overpass` judges a bridge in earthquakes.
 //!
 //! The series are not part of the project. A page in each folder states their source. The settings
 //! are the defaults, except the length of the commissioning. No figure depends on the seed.
@@ -7,7 +7,7 @@
 //! The name of a required figure begins with the point of the acceptance list of the specification
 //! that requires it.
 
-use super::{BUDGET, LARGEST_RATE, is_inside, judged, raises_alarm, settings};
+use super::{BUDGET, LARGEST_RATE, is_inside, judged, overpass, raises_alarm, settings};
 use crate::cases::Case;
 use crate::error::ValidateError;
 use crate::figure::{Figure, Required};
@@ -79,6 +79,13 @@ pub(crate) static CASES: &[Case] = &[
         weight: 1.0,
         run: tower,
     },
+    Case {
+        name: "judge.painter",
+        title: "The overpass of Painter Street in 18 earthquakes, in the order of time",
+        source: SOURCE,
+        weight: 30.0,
+        run: overpass::run,
+    },
 ];
 
 /// A table of numbers in a CSV file.
@@ -91,7 +98,7 @@ struct Series {
 
 impl Series {
     fn read(run: &Run<'_>, file: &str) -> Result<Self, ValidateError> {
-        let path = run.records()?.join(file);
+        let path = run.records()?.folder.join(file);
         let text = match std::fs::read_to_string(&path) {
             Ok(text) => text,
             Err(reason) => return Err(ValidateError::File { path, reason }),

@@ -12,7 +12,7 @@ use spandrel_alert::{Baseline, BetweenRecords};
 use spandrel_structure::Structure;
 use std::path::Path;
 
-pub(super) const FILE: &str =
+pub(crate) const FILE: &str =
     include_str!("../../../../../docs/examples/earthquake/highway-bridge.toml");
 
 /// Deck acceleration above which the bridge counts as moving (m/s²), three times the stated noise.
@@ -30,7 +30,7 @@ const SCREENED: &str = " with [outliers]";
 
 /// Archives with the four channels, in order of time. Three more archives of the folder lack the
 /// base of the bent.
-pub(super) const EVENTS: [&str; 18] = [
+pub(crate) const EVENTS: [&str; 18] = [
     "capemendocino_21nov1986_ce89324p",
     "capemendocinoaftershock_21nov1986_ce89324p",
     "petrolia_25apr1992_ce89324p",
@@ -53,7 +53,7 @@ pub(super) const EVENTS: [&str; 18] = [
 
 /// First event that may have changed the bridge permanently. The baseline is learnt from earlier
 /// weak events.
-const FIRST_STRONG: &str = "nc73821036_ce89324p";
+pub(crate) const FIRST_STRONG: &str = "nc73821036_ce89324p";
 
 /// Parameter of the file.
 pub(super) const PARAMETER: &str = "supports";

@@ -24,6 +24,7 @@ mod shake_table;
 mod tower;
 mod tower_modes;
 
+pub(crate) use bridge::{EVENTS, FILE, FIRST_STRONG};
 pub use error::RecordsError;
 pub use row::Row;
 
