@@ -20,7 +20,7 @@ pub(super) fn page(report: &Report) -> String {
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Spandrel: \
          validation</title><style>{STYLE}</style>\n\
-         <h1>Spandrel: published examples, rebuilt</h1>\n"
+         <h1>Spandrel: figures of the validation</h1>\n"
     );
     for paragraph in introduction(report) {
         // Writing to a `String` cannot fail.

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 
 pub(super) fn page(report: &Report) -> String {
     let cases = report.on_page();
-    let mut page = "# Published examples, rebuilt\n".to_owned();
+    let mut page = "# Figures of the validation\n".to_owned();
     for paragraph in introduction(report) {
         // Writing to a `String` cannot fail.
         let _ = write!(page, "\n{paragraph}\n");
