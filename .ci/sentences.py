@@ -12,7 +12,11 @@ import sys
 from markdown_it import MarkdownIt
 
 LONG, TOO_LONG, LARGEST_SHARE = 25, 40, 0.10
-GENERATED = {"docs/validation/figures.md", "docs/command-line.md"}
+GENERATED = {
+    "docs/validation/figures.md",
+    "docs/validation/lasting-change/figures.md",
+    "docs/command-line.md",
+}
 # A full stop, question mark or exclamation mark before a capital letter ends a sentence. So does a
 # colon at the end of a paragraph, which introduces a list or a code block.
 END = re.compile(r"(?<=[.!?])[)\"”*]*\s+(?=[A-Z`*\"“(])")
