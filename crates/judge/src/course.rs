@@ -6,6 +6,7 @@ use crate::day::{Day, DayEpochs};
 use crate::detector::{Detector, Evidence, StepEstimate};
 use crate::judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
 use crate::model::Row;
+use crate::present::{DayChange, LatestChanges};
 use crate::reference::{Expected, Missing, Reference};
 use crate::regression::{Posterior, weight};
 use crate::settings::{Quantity, Settings};
@@ -18,13 +19,28 @@ const RETRY_DAYS: i64 = 7;
 const LEARNED_AWAY_QUANTILE: f64 = 3.090;
 /// Quantile of a 95 % interval.
 const INTERVAL_QUANTILE: f64 = 1.960;
+/// Days after a finding on which its first day is estimated again. Later days can contain further
+/// changes, which would move it.
+const DATING_DAYS: i64 = 30;
 
 /// Course of one quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Course {
     pub(crate) epochs: DayEpochs,
     phase: Phase,
-    finding: Option<Finding>,
+    found: Option<Found>,
+}
+
+/// A finding that holds, and what its next days need.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Found {
+    finding: Finding,
+    /// Day on which the change was first found.
+    first_day: i64,
+    /// Change of ln(value) since the commissioning that preceded this one. It is not part of it.
+    before: f64,
+    /// Interval of the loss that was last raised.
+    raised: [f64; 2],
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -50,6 +66,8 @@ struct Judging {
     cusum_threshold: f64,
     /// Number of the last day.
     last_day: i64,
+    /// Changes on the latest days.
+    latest: LatestChanges,
 }
 
 /// What the histories of all quantities of a structure share.
@@ -70,7 +88,7 @@ impl Course {
         Self {
             epochs: DayEpochs::default(),
             phase: Phase::Learning(Commissioning::default()),
-            finding: None,
+            found: None,
         }
     }
 
@@ -83,7 +101,7 @@ impl Course {
     }
 
     pub(crate) fn finding(&self) -> Option<&Finding> {
-        self.finding.as_ref()
+        self.found.as_ref().map(|found| &found.finding)
     }
 
     /// Ends a day and returns its judgement.
@@ -107,7 +125,7 @@ impl Course {
                 Err(state) => judgement.state = state,
             },
             Phase::Judging(judging) => {
-                let alarm = self.finding.is_some_and(|finding| finding.is_alarm());
+                let alarm = self.found.is_some_and(|found| found.finding.is_alarm());
                 let (state, expectation) = match &day {
                     Some(day) => judging.end_day(day, alarm),
                     None => (absent(frame.absence), None),
@@ -115,16 +133,12 @@ impl Course {
                 judgement.state = state;
                 judgement.expectation = expectation;
                 let per_stiffness = frame.quantity.kind.per_stiffness();
-                let found = judging.finding(frame, per_stiffness, self.finding);
-                judgement.raised = match (found, self.finding) {
-                    (Some(found), Some(known)) => {
-                        found.change().found_day != known.change().found_day
-                    }
-                    (Some(_), None) => true,
-                    (None, _) => false,
-                };
-                self.finding = found;
-                judgement.finding = found;
+                let found = judging.found(frame, per_stiffness, self.found);
+                let found_day =
+                    |found: Option<Found>| found.map(|found| found.finding.change().found_day);
+                judgement.raised = found.is_some() && found_day(found) != found_day(self.found);
+                judgement.finding = found.map(|found| found.finding);
+                self.found = found;
             }
         }
         judgement
@@ -181,6 +195,7 @@ impl Judging {
             cusum: 0.0,
             cusum_threshold: cusum::threshold(365.25 / share),
             last_day: reference.to_day,
+            latest: LatestChanges::default(),
             reference,
         }
     }
@@ -192,7 +207,12 @@ impl Judging {
             columns, structure, ..
         } = &self.reference;
         let passed = day.number - self.last_day;
-        self.adaptive.evolve(columns, structure, passed);
+        if !alarm {
+            // Nothing is learnt while an alarm holds. With a level that wanders on, all days would
+            // be outside experience after some months.
+            self.adaptive.wander(columns, passed);
+        }
+        self.adaptive.forget(columns, structure, passed);
         self.detector.evolve(columns, structure, passed);
         let expected = Expected::new(columns, structure, &self.adaptive, &row);
         let novelty = match () {
@@ -216,6 +236,7 @@ impl Judging {
             };
             self.detector.judge(day.number, &row.x, evidence);
             self.cusum = cusum::next(self.cusum, z.clamp(-3.0, 3.0));
+            self.latest.add(self.day_change(day.number, &row, variance));
         }
         let expectation = self.expectation(day, &expected, z);
         if !alarm {
@@ -290,47 +311,138 @@ impl Judging {
         }
     }
 
+    /// Returns the change of a day against the commissioning, under the mean conditions of the
+    /// commissioning: what the model has learnt, and the residual that it has not learnt. What
+    /// forgets is part of the residual.
+    fn day_change(&self, day: i64, row: &Row, variance: f64) -> DayChange {
+        let Reference {
+            columns,
+            conditions,
+            posterior,
+            ..
+        } = &self.reference;
+        let lasting = columns.lasting(&row.x);
+        let learnt = self.adaptive.expected(conditions) - posterior.expected(conditions);
+        let sigma_squared = self.adaptive.sigma.powi(2);
+        DayChange {
+            day,
+            size: learnt + row.y - self.adaptive.expected(&lasting),
+            variance: sigma_squared * variance,
+            ignorance: sigma_squared * self.adaptive.leverage(&(lasting - conditions)),
+            share: 1.0 - columns.zone(row),
+        }
+    }
+
+    /// Returns the present change against the commissioning, from the latest days since a day.
+    fn present(&self, since_day: i64, frame: Frame<'_>) -> Option<StepEstimate> {
+        let latest = self.latest.since(since_day)?;
+        let std = (latest.variance + self.reference_variance(frame.day)).sqrt();
+        Some(StepEstimate {
+            day: since_day,
+            size: latest.size,
+            std: std.hypot(self.reference.deviation().of_mean(latest.days)),
+        })
+    }
+
+    /// Returns the variance of the reference until a day: of what the commissioning has learnt, and
+    /// of the sound wandering since then.
+    fn reference_variance(&self, day: i64) -> f64 {
+        let Reference {
+            columns,
+            conditions,
+            posterior,
+            to_day,
+            ..
+        } = &self.reference;
+        posterior.sigma.powi(2) * posterior.leverage(conditions) + columns.wander(day - to_day)
+    }
+
     /// Returns the finding that holds after the day. An alarm stays, and replaces a notice.
-    fn finding(
+    fn found(&self, frame: Frame<'_>, per_stiffness: f64, known: Option<Found>) -> Option<Found> {
+        if let Some(known) = known
+            && known.finding.is_alarm()
+        {
+            return Some(self.renewed(known, frame, per_stiffness));
+        }
+        if self.detector.finds_loss()
+            && let Some(step) = self.detector.loss(frame.day)
+        {
+            return Some(self.raise(Finding::LastingLoss, step, frame, per_stiffness));
+        }
+        if let Some(drift) = self.learned_away(frame, per_stiffness) {
+            return Some(self.raise(Finding::LearnedAway, drift, frame, per_stiffness));
+        }
+        if let Some(known) = known {
+            return Some(self.renewed(known, frame, per_stiffness));
+        }
+        if self.detector.finds_gain() && self.exceeds_reference() {
+            let step = self.detector.gain(frame.day)?;
+            return Some(self.raise(Finding::Stiffer, step, frame, per_stiffness));
+        }
+        None
+    }
+
+    /// Returns a new finding.
+    ///
+    /// The change is stated against the commissioning. A certain gain before a loss is not
+    /// subtracted from the loss.
+    fn raise(
         &self,
+        kind: fn(Change) -> Finding,
+        step: StepEstimate,
         frame: Frame<'_>,
         per_stiffness: f64,
-        known: Option<Finding>,
-    ) -> Option<Finding> {
-        let deviation = self.reference.deviation();
-        let change = |step: StepEstimate, found_day| {
-            let std = step.std_with(deviation, frame.day);
-            Change {
-                found_day,
-                since_day: step.day,
-                loss: loss(step.size, per_stiffness),
-                interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
-                    .map(|q| loss(step.size + q * std, per_stiffness)),
-            }
+    ) -> Found {
+        let present = self.present(step.day, frame).unwrap_or(step);
+        let before = present.size - step.size;
+        let is_certain = before > INTERVAL_QUANTILE * self.reference_variance(frame.day).sqrt();
+        let before = if step.size < 0.0 && is_certain {
+            before
+        } else {
+            0.0
+        };
+        let change = change(present, before, per_stiffness, frame.day);
+        Found {
+            finding: kind(change),
+            first_day: frame.day,
+            before,
+            raised: change.interval,
+        }
+    }
+
+    /// Returns a finding with the present size of its change.
+    ///
+    /// A loss that certainly exceeds the one that was raised is raised again.
+    fn renewed(&self, known: Found, frame: Frame<'_>, per_stiffness: f64) -> Found {
+        let Change {
+            found_day,
+            since_day,
+            ..
+        } = *known.finding.change();
+        let step = match known.finding {
+            Finding::LastingLoss(_) => self.detector.loss(known.first_day),
+            Finding::Stiffer(_) => self.detector.gain(known.first_day),
+            Finding::LearnedAway(_) => None,
         };
         // A change does not begin after the day on which it was found.
-        let found_day = |known: Option<Finding>| known.map_or(frame.day, |f| f.change().found_day);
-        if let Some(known @ Finding::LearnedAway(_)) = known {
-            return Some(known);
+        let since_day = match step {
+            Some(step) if frame.day - known.first_day <= DATING_DAYS => step.day,
+            _ => since_day,
+        };
+        let Some(present) = self.present(since_day, frame) else {
+            return known;
+        };
+        let mut change = change(present, known.before, per_stiffness, found_day);
+        let mut raised = known.raised;
+        if known.finding.is_alarm() && change.interval[0] > raised[1] {
+            change.found_day = frame.day;
+            raised = change.interval;
         }
-        let lost = known.filter(|known| matches!(known, Finding::LastingLoss(_)));
-        if (lost.is_some() || self.detector.finds_loss())
-            && let Some(step) = self.detector.loss(found_day(lost))
-        {
-            return Some(Finding::LastingLoss(change(step, found_day(lost))));
+        Found {
+            finding: known.finding.with(change),
+            raised,
+            ..known
         }
-        if lost.is_some() {
-            return lost; // an alarm stays, even if no candidate speaks for a loss any longer
-        }
-        if let Some(step) = self.learned_away(frame, per_stiffness) {
-            return Some(Finding::LearnedAway(change(step, frame.day)));
-        }
-        if (known.is_some() || (self.detector.finds_gain() && self.exceeds_reference()))
-            && let Some(step) = self.detector.gain(found_day(known))
-        {
-            return Some(Finding::Stiffer(change(step, found_day(known))));
-        }
-        known
     }
 
     /// Returns `true` if a gain leads beyond the commissioning. Otherwise a loss that was learnt
@@ -355,9 +467,7 @@ impl Judging {
             ..
         } = &self.reference;
         let size = self.adaptive.expected(conditions) - posterior.expected(conditions);
-        let known = posterior.sigma.powi(2) * posterior.leverage(conditions);
-        let wander = self.reference.columns.wander(frame.day - to_day);
-        let std = (known + wander).sqrt();
+        let std = self.reference_variance(frame.day).sqrt();
         let matters = per_stiffness * (1.0 - frame.settings.loss).ln();
         // P(size + std · normal < matters) ≥ 0.999
         (size + LEARNED_AWAY_QUANTILE * std < matters).then_some(StepEstimate {
@@ -375,6 +485,18 @@ struct Learnt {
     scale: f64,
     variance: f64,
     novelty: Option<Novelty>,
+}
+
+/// Returns the change of stiffness beyond what preceded it.
+fn change(present: StepEstimate, before: f64, per_stiffness: f64, found_day: i64) -> Change {
+    let size = present.size - before;
+    Change {
+        found_day,
+        since_day: present.day,
+        loss: loss(size, per_stiffness),
+        interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
+            .map(|quantile| loss(size + quantile * present.std, per_stiffness)),
+    }
 }
 
 /// Returns the loss of stiffness (share) of a change of ln(value).

@@ -107,16 +107,27 @@ impl Finding {
             Self::LastingLoss(change) | Self::LearnedAway(change) | Self::Stiffer(change) => change,
         }
     }
+
+    /// Returns the finding with another change.
+    pub(crate) fn with(self, change: Change) -> Self {
+        match self {
+            Self::LastingLoss(_) => Self::LastingLoss(change),
+            Self::LearnedAway(_) => Self::LearnedAway(change),
+            Self::Stiffer(_) => Self::Stiffer(change),
+        }
+    }
 }
 
-/// Size of a lasting change of the stiffness.
+/// Present size of a lasting change of the stiffness.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Change {
-    /// Day on which the change was found (days since 1970-01-01 UTC).
+    /// Day on which the change was found (days since 1970-01-01 UTC). A loss that certainly exceeds
+    /// the one that was found before is found again.
     pub found_day: i64,
     /// Most credible first day of the change (days since 1970-01-01 UTC).
     pub since_day: i64,
-    /// Loss of stiffness as a share; negative for a gain.
+    /// Present loss of stiffness as a share of that of the commissioning; negative for a gain. It
+    /// is the mean of at most the latest 30 judged days.
     pub loss: f64,
     /// 95 % interval of the loss, `[low, high]`, as shares of the stiffness. Negative values are a
     /// gain.
@@ -182,23 +193,24 @@ impl Judgement {
             let change = finding.change();
             let [low, high] = change.interval.map(|share| 100.0 * share);
             let since = date(change.since_day);
+            let loss = 100.0 * change.loss;
             return match finding {
-                Finding::LastingLoss(change) => format!(
-                    "{name} has lost {:.1} % of stiffness [{low:.1}, {high:.1}], most probably \
-                     since {since}.",
-                    100.0 * change.loss
+                Finding::LastingLoss(_) if low <= 0.0 => format!(
+                    "{name} lost stiffness, most probably since {since}, and may have recovered: \
+                     its present loss is {loss:.1} % [{low:.1}, {high:.1}]."
                 ),
-                Finding::LearnedAway(change) => format!(
-                    "The learnt reference of {name} has drifted by a loss of {:.1} % of stiffness \
-                     [{low:.1}, {high:.1}] since the commissioning.",
-                    100.0 * change.loss
+                Finding::LastingLoss(_) => format!(
+                    "{name} has lost {loss:.1} % of stiffness [{low:.1}, {high:.1}], most probably \
+                     since {since}."
                 ),
-                Finding::Stiffer(change) => format!(
+                Finding::LearnedAway(_) => format!(
+                    "The learnt reference of {name} has drifted away: the present loss of \
+                     stiffness since the commissioning is {loss:.1} % [{low:.1}, {high:.1}]."
+                ),
+                Finding::Stiffer(_) => format!(
                     "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably since \
                      {since}.",
-                    -100.0 * change.loss,
-                    -high,
-                    -low
+                    -loss, -high, -low
                 ),
             };
         }
@@ -267,6 +279,15 @@ mod tests {
             };
             judgement.sentence()
         };
+        let recovered = Change {
+            interval: [-0.01, 0.02],
+            ..change(0.005)
+        };
+        assert_eq!(
+            sentence(Finding::LastingLoss(recovered), 20_700),
+            "bending lost stiffness, most probably since 2025-10-24, and may have recovered: its \
+             present loss is 0.5 % [-1.0, 2.0]."
+        );
         for day in [20_385, 20_386, 20_414] {
             assert_eq!(
                 sentence(Finding::LastingLoss(change(0.052)), day),

@@ -72,6 +72,7 @@ mod extremes;
 mod frost;
 mod inertia;
 mod model;
+mod present;
 
 mod choice;
 mod regression;

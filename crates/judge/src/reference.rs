@@ -107,7 +107,8 @@ impl std::fmt::Display for Missing {
             Self::Coverage { found, needed } => write!(
                 f,
                 "the 95 % interval contains {:.0} % of the later days of the commissioning, must \
-                 contain at least {:.0} %; a condition may be missing",
+                 contain at least {:.0} %; a condition may be missing, or the structure may have \
+                 changed during the commissioning",
                 100.0 * found,
                 100.0 * needed
             ),

@@ -62,7 +62,17 @@ impl Posterior {
 
     /// Lets a number of days pass (1).
     pub(crate) fn evolve(&mut self, columns: &Columns, structure: &Structure, days: i64) {
+        self.wander(columns, days);
+        self.forget(columns, structure, days);
+    }
+
+    /// Lets the level wander for a number of days (1).
+    pub(crate) fn wander(&mut self, columns: &Columns, days: i64) {
         self.covariance[(0, 0)] += columns.wander(days) / (self.sigma * self.sigma);
+    }
+
+    /// Lets the offsets and the deviation forget for a number of days (1).
+    pub(crate) fn forget(&mut self, columns: &Columns, structure: &Structure, days: i64) {
         for forgetful in columns.forgetful(structure) {
             let (column, kept) = (forgetful.column, forgetful.kept(days));
             self.mean[column] *= kept;
