@@ -186,7 +186,8 @@ async fn listen(site: &Site) -> (Bus, Subscription<Event>) {
     (bus, events)
 }
 
-/// The strong earthquake follows five weak ones. Weak motion is recorded an hour later.
+/// The strong earthquake follows five weak ones. Weak motion is recorded five minutes and an hour
+/// later.
 const QUAKES: [(f64, f64); 6] = [
     (60.0, WEAK),
     (180.0, WEAK),
@@ -204,7 +205,7 @@ async fn live_reports_have_the_numbers_of_the_offline_command_and_are_on_the_pag
     let (_bus, events) = listen(&site).await;
     site.replay(&course.record(), "max").wait().expect_code(0);
     let mut all = Vec::new();
-    let count = QUAKES.len() + 1;
+    let count = QUAKES.len() + 2;
     events_of(&events, EventKind::EarthquakeReport, count, &mut all).await;
     let of = |kind| all.iter().filter(move |event| event.kind == kind);
     let began: Vec<&Event> = of(EventKind::Earthquake).collect();
@@ -221,26 +222,27 @@ async fn live_reports_have_the_numbers_of_the_offline_command_and_are_on_the_pag
         let path = format!("/events/block-7/{}.html", event.subject);
         assert!(event.why.contains(&path), "{event:?}");
     }
-    assert!(
-        made[6].why.starts_with("Weak motion 1 h after"),
-        "{:?}",
-        made[6]
-    );
+    for (event, after) in made[QUAKES.len()..].iter().zip(["5 min", "1 h"]) {
+        let start = format!("Weak motion {after} after");
+        assert!(event.why.starts_with(&start), "{event:?}");
+    }
 
     let live = json_of(&events_folder(&site));
     assert_eq!(live.len(), count);
     let offline = course.offline(&site, &live);
     assert_eq!(live, offline);
     let reports: Vec<&Value> = live.values().collect();
-    println!("{}\n{}", reports[5]["headline"], reports[6]["headline"]);
-    // The building yields, and has lost nothing an hour later.
+    println!("{}\n{}", reports[5]["headline"], reports[7]["headline"]);
+    // The building yields, and has lost nothing five minutes and an hour later.
     let judgement = |report: &Value| report["parameters"][0]["judgement"].clone();
     assert_eq!(reports[5]["urgency"], "inspect");
-    let lasting = judgement(reports[6])["lasting"].clone();
-    let since = lasting.as_array().unwrap().iter();
-    let mut since = since.filter(|candidate| candidate["since"] == 5);
-    let loss = since.next().unwrap()["loss"].clone();
-    assert_eq!(loss["is_raised"], false, "{loss}");
+    for later in &reports[6..] {
+        let lasting = judgement(later)["lasting"].clone();
+        let since = lasting.as_array().unwrap().iter();
+        let mut since = since.filter(|candidate| candidate["since"] == 5);
+        let loss = since.next().unwrap()["loss"].clone();
+        assert_eq!(loss["is_raised"], false, "{loss}");
+    }
 
     let path = format!("/events/block-7/{}", made[5].subject);
     let (status, head, html) = get(&address, &format!("{path}.html"));
@@ -264,8 +266,8 @@ async fn live_reports_have_the_numbers_of_the_offline_command_and_are_on_the_pag
         assert_eq!(get(&address, &linked).0, 200);
     }
     assert!(
-        index.contains("is judged again"),
-        "the day after is due: {index}"
+        index.contains("is judged again 1 d after") && index.contains("is judged again 7 d after"),
+        "the day and the week after are due: {index}"
     );
     for missing in ["2020-01-01t00-00-00z.html", "../../spandrel.toml", "x.csv"] {
         assert_eq!(get(&address, &format!("/events/block-7/{missing}")).0, 404);

@@ -48,7 +48,7 @@ pub(crate) fn waiting_for_samples(due: &[Due]) -> Vec<String> {
     for (of_ns, mut afters) in afters {
         afters.sort_by(f64::total_cmp);
         let afters: Vec<String> = afters.into_iter().map(duration).collect();
-        let of = earthquakes.entry(afters.join(" and ")).or_default();
+        let of = earthquakes.entry(listed(&afters)).or_default();
         of.push(date(of_ns));
     }
     let sentence = |(after, of): (String, Vec<String>)| {
@@ -57,6 +57,14 @@ pub(crate) fn waiting_for_samples(due: &[Due]) -> Vec<String> {
         format!("The judgement {after} after the earthquake{s} of {of} waits for samples.")
     };
     earthquakes.into_iter().map(sentence).collect()
+}
+
+/// Returns a list for people, such as `5 min, 1 h and 1 d`.
+fn listed(all: &[String]) -> String {
+    match all {
+        [before @ .., last] if !before.is_empty() => format!("{} and {last}", before.join(", ")),
+        _ => all.concat(),
+    }
 }
 
 fn timestamp(time_ns: i64) -> Timestamp {
@@ -95,6 +103,15 @@ mod tests {
                  samples.",
                 "The judgement 1 h and 1 d after the earthquake of 1 January 1970, 00:00 UTC waits \
                  for samples.",
+            ]
+        );
+        let afters = [1.0 / 12.0, 1.0, 24.0, 168.0];
+        let default: Vec<Due> = afters.iter().map(|after| due(0, after * hour)).collect();
+        assert_eq!(
+            waiting_for_samples(&default),
+            [
+                "The judgement 5 min, 1 h, 1 d and 7 d after the earthquake of 1 January 1970, \
+                 00:00 UTC waits for samples."
             ]
         );
         let same = [due(60, hour), due(0, hour)];

@@ -28,8 +28,8 @@ impl EarthquakePlan {
     pub const LOSS: f64 = 0.05;
     /// Probability from which a loss is raised, unless the file states another one.
     pub const CREDIBILITY: f64 = 0.99;
-    /// One hour and one day (s).
-    pub const AGAIN_AFTER_S: [f64; 2] = [3_600.0, 86_400.0];
+    /// Five minutes, one hour, one day and one week (s).
+    pub const AGAIN_AFTER_S: [f64; 4] = [300.0, 3_600.0, 86_400.0, 604_800.0];
     /// Number of recordings that are kept, unless the file states another one.
     pub const KEEP: usize = 100;
 }

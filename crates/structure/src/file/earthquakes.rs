@@ -135,7 +135,7 @@ mod tests {
         let plan = plan("");
         assert_eq!((plan.trigger_m_per_s2, plan.strong_m_per_s2), (1.0, 1.0));
         assert_eq!((plan.loss, plan.credibility), (0.05, 0.99));
-        assert_eq!(plan.again_after_s, [3600.0, 86_400.0]);
+        assert_eq!(plan.again_after_s, [300.0, 3600.0, 86_400.0, 604_800.0]);
         assert!(!plan.channels.is_empty());
         assert!(read(DEMO).unwrap().earthquakes().is_none());
     }
