@@ -14,6 +14,7 @@
 //! - [`course_row`]: a judgement as a row of the history of the quantity
 //! - `judging`: closed epochs in, judgements and events out
 //! - `epoch_log`, `annotations`: the files of the epochs and of the annotations
+//! - `bench`: keeps what arrives, then judges it
 //! - [`new_reference`], [`read_annotations`]: the same for a series offline
 //! - [`JudgeService`], [`JudgePlanned`]: the service
 //!
@@ -27,6 +28,8 @@ mod annotations;
 mod epoch_log;
 
 mod error;
+
+mod bench;
 mod service;
 
 #[cfg(test)]
