@@ -116,6 +116,7 @@ pub(crate) fn lasting_loss(quantity: &str) -> JudgementDisplay {
         }),
         false_alarms_per_year: 0.1,
         spent: None,
+        configuration: None,
     }
 }
 

@@ -1,11 +1,13 @@
-//! The state that judges: epochs and annotations are kept, then judged.
+//! The state that judges: epochs, annotations and configurations are kept before they count.
 
 use crate::annotations::{AnnotationLog, Refusal};
+use crate::configurations::{Begun, Configuration, ConfigurationLog, Place};
 use crate::epoch_log::EpochLog;
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
-use crate::judging::Judging;
+use crate::judging::{Judging, new_reference};
 use spandrel_bus::{Annotation, Event};
+use spandrel_service::Clock;
 use spandrel_structure::JudgePlan;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -20,6 +22,8 @@ pub(crate) struct Bench {
     blank: Judging,
     log: Option<EpochLog>,
     annotations: AnnotationLog,
+    configurations: Option<ConfigurationLog>,
+    clock: Clock,
     /// Where epochs and annotations are kept.
     saved: Option<Saved>,
 }
@@ -41,16 +45,25 @@ pub(crate) struct Outcome {
 
 impl Bench {
     /// Judges the epochs of the file in a folder, if there is a folder.
-    pub(crate) fn open(blank: Judging, saved: Option<Saved>) -> Result<Self, JudgingError> {
-        let annotations = match &saved {
-            Some(saved) => AnnotationLog::open(&saved.folder)?,
-            None => AnnotationLog::default(),
+    pub(crate) fn open(
+        blank: Judging,
+        saved: Option<Saved>,
+        clock: Clock,
+    ) -> Result<Self, JudgingError> {
+        let (annotations, configurations) = match &saved {
+            Some(Saved { folder, .. }) => (
+                AnnotationLog::open(folder)?,
+                Some(ConfigurationLog::open(folder)?),
+            ),
+            None => (AnnotationLog::default(), None),
         };
         let mut bench = Self {
             judging: blank.clone(),
             blank,
             log: None,
             annotations,
+            configurations,
+            clock,
             saved,
         };
         bench.judge_again()?;
@@ -74,7 +87,38 @@ impl Bench {
             self.log = Some(log);
         }
         self.judging = judging;
+        self.begin_configuration();
         Ok(())
+    }
+
+    /// Records the configuration in force, if it or its file of epochs has changed.
+    fn begin_configuration(&mut self) {
+        let Some((saved, log)) = self.saved.as_ref().zip(self.log.as_mut()) else {
+            return;
+        };
+        let all = self.annotations.all().iter();
+        let references =
+            all.filter(|annotation| new_reference(annotation, &saved.plan.settings).is_some());
+        let begun = Begun {
+            time_ns: self.clock.now_ns(),
+            since: log.place(),
+            is_complete: log.incomplete().is_none(),
+            aside: log.take_aside(),
+            configuration: Configuration {
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                judge: saved.plan.clone(),
+                references: references.cloned().collect(),
+            },
+        };
+        match self.configurations.as_mut().map(|log| log.begin(begun)) {
+            Some(Ok(name)) => self.judging.set_configuration(name),
+            Some(Err(error)) => warn!(%error, "the configuration is not recorded"),
+            None => {}
+        }
+    }
+
+    fn incomplete(&self) -> Option<Place> {
+        self.log.as_ref().and_then(EpochLog::incomplete)
     }
 
     /// Keeps an annotation. If it starts a reference in the past, the epochs since then are judged
@@ -90,7 +134,10 @@ impl Bench {
         self.annotations.append(&annotation)?;
         match is_again {
             true => self.judge_again()?,
-            false => self.judging.annotate(annotation),
+            false => {
+                self.judging.annotate(annotation);
+                self.begin_configuration();
+            }
         }
         Ok(())
     }
@@ -98,8 +145,11 @@ impl Bench {
     /// Saves each epoch before it is judged, so that a restart judges it as well.
     pub(crate) fn judge(&mut self, closed: &[ClosedEpoch]) -> Outcome {
         let mut outcome = Outcome::default();
+        let incomplete = self.incomplete();
         if closed.is_empty() {
             self.log.iter_mut().for_each(EpochLog::flush);
+            let configurations = self.configurations.iter_mut();
+            configurations.for_each(ConfigurationLog::flush);
         }
         for closed in closed {
             if let Some(log) = &mut self.log {
@@ -113,11 +163,19 @@ impl Bench {
                 }
             }
         }
+        if self.incomplete() != incomplete {
+            self.begin_configuration();
+        }
         outcome
     }
 
     /// Returns the counts of failed writes and of lost epochs.
     pub(crate) fn drops(&self) -> BTreeMap<String, u64> {
-        self.log.iter().flat_map(EpochLog::drops).collect()
+        let mut drops: BTreeMap<_, _> = self.log.iter().flat_map(EpochLog::drops).collect();
+        let configurations = self.configurations.iter();
+        for (name, count) in configurations.filter_map(ConfigurationLog::drops) {
+            *drops.entry(name).or_default() += count;
+        }
+        drops
     }
 }

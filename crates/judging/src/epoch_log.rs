@@ -4,6 +4,7 @@
 //! therefore reveals a damaged, missing or added line. `spandrel judge --series` ignores this
 //! column, as it ignores the deviations.
 
+use crate::configurations::Place;
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
 use spandrel_checkpoint::{Failures, fingerprint, sync_name};
@@ -42,6 +43,12 @@ pub(crate) struct EpochLog {
     check: String,
     /// Size of the file up to the last complete line (bytes).
     length: u64,
+    /// Number of epochs in the file.
+    lines: u64,
+    /// Name of the file into which the former epochs were set aside at the start.
+    aside: Option<String>,
+    /// The last line before epochs were lost, or of a file that has taken the place of another one.
+    incomplete: Option<Place>,
     /// Lines that are not written yet, without their check values.
     waiting: Vec<String>,
     /// Number of epochs that are lost, because too many were waiting.
@@ -71,7 +78,7 @@ impl EpochLog {
             source,
         })?;
         let header = header(plan);
-        let (text, found) = begin(&path, &header)?;
+        let Begun { text, found, aside } = begin(&path, &header)?;
         if found.lines > 0 {
             replay(&path, &text, plan, judge)?;
             info!(file = %path.display(), epochs = found.lines, "resumed from the epochs");
@@ -79,6 +86,9 @@ impl EpochLog {
         Ok(Self {
             check: found.check,
             length: found.length as u64,
+            lines: found.lines as u64,
+            aside,
+            incomplete: None,
             path,
             header,
             waiting: Vec::new(),
@@ -93,7 +103,10 @@ impl EpochLog {
     pub(crate) fn append(&mut self, closed: &ClosedEpoch) {
         match self.waiting.len() < MOST_WAITING {
             true => self.waiting.push(line(closed)),
-            false => self.lost += 1,
+            false => {
+                self.lost += 1;
+                self.incomplete = Some(self.place());
+            }
         }
         self.flush();
     }
@@ -142,6 +155,26 @@ impl EpochLog {
         !self.waiting.is_empty() || self.lost > 0
     }
 
+    /// Returns the line after which the file lacks epochs that were judged. `None` if it contains
+    /// all of them, or will.
+    pub(crate) fn incomplete(&self) -> Option<Place> {
+        self.incomplete.clone()
+    }
+
+    /// Returns the last line of the file, or that of [`Self::incomplete`].
+    pub(crate) fn place(&self) -> Place {
+        self.incomplete().unwrap_or_else(|| Place {
+            epochs: self.lines,
+            check: self.check.clone(),
+        })
+    }
+
+    /// Returns the name of the file into which the former epochs were set aside at the start. Each
+    /// later call returns `None`.
+    pub(crate) fn take_aside(&mut self) -> Option<String> {
+        self.aside.take()
+    }
+
     /// Returns the counts of failed writes and of lost epochs.
     pub(crate) fn drops(&self) -> impl Iterator<Item = (String, u64)> {
         let lost = (self.lost > 0).then(|| ("epochs-not-kept".to_owned(), self.lost));
@@ -156,8 +189,13 @@ impl EpochLog {
             source,
         };
         if !self.is_own_file().map_err(failed)? {
-            let (_, found) = begin(&path, &self.header)?;
+            let Begun { found, .. } = begin(&path, &self.header)?;
             (self.length, self.check) = (found.length as u64, found.check);
+            self.lines = found.lines as u64;
+            self.incomplete = Some(Place {
+                epochs: self.lines,
+                check: self.check.clone(),
+            });
             warn!(
                 file = %path.display(), epochs = found.lines,
                 "the file of the epochs was replaced; a restart knows only the epochs in it"
@@ -166,6 +204,7 @@ impl EpochLog {
         let (text, check) = self.text();
         self.append_text(&text).map_err(failed)?;
         (self.length, self.check) = (self.length + text.len() as u64, check);
+        self.lines += self.waiting.len() as u64;
         self.waiting.clear();
         Ok(())
     }
@@ -215,11 +254,113 @@ impl EpochLog {
     }
 }
 
+/// The epochs of a file, read without a change to it.
+#[derive(Debug)]
+pub(crate) struct SavedEpochs<'p> {
+    path: PathBuf,
+    plan: &'p JudgePlan,
+    text: Vec<u8>,
+    sound: Sound,
+}
+
+/// The epochs of a file up to a time.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Known {
+    /// Their number.
+    pub(crate) epochs: u64,
+    /// Middle of the first epoch in the file (ns since 1970-01-01 UTC).
+    pub(crate) first_ns: Option<i64>,
+    /// Middle of the last epoch up to the time (ns since 1970-01-01 UTC).
+    pub(crate) last_ns: Option<i64>,
+    /// Whether a later epoch follows.
+    pub(crate) is_followed: bool,
+}
+
+impl<'p> SavedEpochs<'p> {
+    /// Reads a file with the columns of `plan`.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub(crate) fn read(path: PathBuf, plan: &'p JudgePlan) -> Result<Self, JudgingError> {
+        let text = std::fs::read(&path).map_err(|source| JudgingError::File {
+            what: "read",
+            path: path.clone(),
+            source,
+        })?;
+        let sound = Sound::find(&text, &header(plan));
+        Ok(Self {
+            path,
+            plan,
+            text,
+            sound,
+        })
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Returns `true` if a line is damaged, or if the columns are others. Only the epochs before
+    /// are read.
+    pub(crate) fn is_damaged(&self) -> bool {
+        self.sound.end == End::Damaged
+    }
+
+    /// Returns `true` if the file contains a line after the same lines.
+    pub(crate) fn contains(&self, place: &Place) -> bool {
+        let most = usize::try_from(place.epochs).unwrap_or(usize::MAX);
+        let begun = Sound::find_first(&self.text, &header(self.plan), most);
+        begun.lines == most && begun.check == place.check
+    }
+
+    /// Calls `judge` for each epoch.
+    ///
+    /// # Errors
+    /// A line is not an epoch of the plan.
+    pub(crate) fn each(&self, judge: impl FnMut(ClosedEpoch)) -> Result<(), JudgingError> {
+        match self.sound.lines {
+            0 => Ok(()),
+            _ => replay(
+                &self.path,
+                &self.text[..self.sound.length],
+                self.plan,
+                judge,
+            ),
+        }
+    }
+
+    /// Counts the epochs up to a time (ns since 1970-01-01 UTC).
+    ///
+    /// # Errors
+    /// As for [`Self::each`].
+    pub(crate) fn until(&self, at_ns: i64) -> Result<Known, JudgingError> {
+        let mut known = Known::default();
+        self.each(|closed| {
+            known.first_ns = known.first_ns.or(Some(closed.middle_ns));
+            known.is_followed |= closed.middle_ns > at_ns;
+            if !known.is_followed {
+                known.epochs += 1;
+                known.last_ns = Some(closed.middle_ns);
+            }
+        })?;
+        Ok(known)
+    }
+}
+
+/// A file that was opened or created.
+struct Begun {
+    /// Its sound part.
+    text: Vec<u8>,
+    found: Sound,
+    /// Name of the file into which a damaged one was set aside.
+    aside: Option<String>,
+}
+
 /// Reads the file of the epochs, or creates it. Returns its sound part, and what is known of it.
 ///
 /// An incomplete last line is removed. A damaged file is set aside, and the epochs before the
 /// damage are copied.
-fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
+fn begin(path: &Path, header: &str) -> Result<Begun, JudgingError> {
     let failed = |what| {
         move |source| JudgingError::File {
             what,
@@ -233,6 +374,7 @@ fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
         Err(error) => return Err(failed("read")(error)),
     };
     let mut found = Sound::find(&text, header);
+    let mut renamed = None;
     if !text.is_empty() && found.end == End::Damaged {
         let aside = set_aside(path).map_err(failed("set aside"))?;
         warn!(
@@ -240,6 +382,8 @@ fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
             "the file of the epochs has other columns or a damaged line; only the epochs before \
              it are used"
         );
+        let name = aside.file_name();
+        renamed = name.map(|name| name.to_string_lossy().into_owned());
     }
     let is_whole = found.end == End::Whole && !text.is_empty();
     text.truncate(found.length);
@@ -251,7 +395,11 @@ fn begin(path: &Path, header: &str) -> Result<(Vec<u8>, Sound), JudgingError> {
         write_whole(path, &text).map_err(failed("write"))?;
         sync_name(path);
     }
-    Ok((text, found))
+    Ok(Begun {
+        text,
+        found,
+        aside: renamed,
+    })
 }
 
 /// How a file ends.
@@ -279,6 +427,11 @@ struct Sound {
 
 impl Sound {
     fn find(bytes: &[u8], header: &str) -> Self {
+        Self::find_first(bytes, header, usize::MAX)
+    }
+
+    /// As [`Sound::find`], for at most this number of epochs.
+    fn find_first(bytes: &[u8], header: &str, most: usize) -> Self {
         let mut sound = Self {
             length: 0,
             lines: 0,
@@ -294,7 +447,9 @@ impl Sound {
             return sound;
         };
         sound.length = header.len();
-        while let Some(end) = rest.iter().position(|byte| *byte == b'\n') {
+        while sound.lines < most
+            && let Some(end) = rest.iter().position(|byte| *byte == b'\n')
+        {
             let (line, after) = rest.split_at(end + 1);
             let Some(found) = checked(line, &sound.check) else {
                 sound.end = End::Damaged;
@@ -321,7 +476,7 @@ fn checked(line: &[u8], before: &str) -> Option<String> {
 }
 
 /// Returns the check value of the text of a line, which follows a line with the value `before`.
-fn check(text: &str, before: &str) -> String {
+pub(crate) fn check(text: &str, before: &str) -> String {
     let all = fingerprint(&format!("{before}{text}"));
     let mut value = String::new();
     for byte in &all[..CHECK_BYTES] {
@@ -411,8 +566,10 @@ fn replay(
 }
 
 /// Renames a file, so that a person can look at it.
-fn set_aside(path: &Path) -> std::io::Result<PathBuf> {
-    let mut free = (1..=MOST_ASIDE).map(|number| path.with_extension(format!("{number}.csv")));
+pub(crate) fn set_aside(path: &Path) -> std::io::Result<PathBuf> {
+    let ending = path.extension().unwrap_or_default().to_string_lossy();
+    let name = |number: u32| path.with_extension(format!("{number}.{ending}"));
+    let mut free = (1..=MOST_ASIDE).map(name);
     let free = free
         .find(|aside| !aside.exists())
         .ok_or_else(|| std::io::Error::from(ErrorKind::AlreadyExists))?;

@@ -2,11 +2,13 @@
 
 use crate::course::{Course, Subject, change, expectation, start_ns, state};
 use crate::epochs::ClosedEpoch;
+use crate::error::JudgingError;
 use spandrel_bus::{
     Annotation, AnnotationEffect, BudgetSpent, ChangeSeen, Event, EventKind, JudgementCourse,
     JudgementDisplay, LastingChange, Name, SpanQuery,
 };
 use spandrel_judge::{Budget, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State};
+use spandrel_structure::JudgePlan;
 
 /// The judge of one structure, and its judgements.
 #[derive(Debug, Clone)]
@@ -24,6 +26,8 @@ pub(crate) struct Judging {
     epochs: u64,
     /// Whether all samples were measured.
     is_measured: bool,
+    /// Name of the configuration in force. `None` if it is not recorded.
+    configuration: Option<String>,
 }
 
 #[derive(Debug, Clone)]
@@ -60,7 +64,28 @@ impl Judging {
             epoch_ns: None,
             epochs: 0,
             is_measured: true,
+            configuration: None,
         })
+    }
+
+    /// Creates a judge without any reference.
+    ///
+    /// # Errors
+    /// A name cannot be a key, or a setting is out of range.
+    pub(crate) fn of_plan(structure: Name, plan: &JudgePlan) -> Result<Self, JudgingError> {
+        let conditions = plan.settings.conditions.iter();
+        let conditions = conditions.map(|condition| name(&condition.name));
+        Ok(Self::new(
+            structure,
+            quantity_names(plan)?,
+            conditions.collect::<Result<_, _>>()?,
+            plan.settings.clone(),
+        )?)
+    }
+
+    /// States the name of the configuration in force.
+    pub(crate) fn set_configuration(&mut self, name: String) {
+        self.configuration = Some(name);
     }
 
     /// Returns the middle of the last epoch (ns since 1970-01-01 UTC).
@@ -141,7 +166,9 @@ impl Judging {
                 continue; // the settings name all quantities
             };
             if judgement.raised {
-                events.extend(event(&self.structure, &judgement, closed.middle_ns));
+                let configuration = self.configuration.as_deref();
+                let time_ns = closed.middle_ns;
+                events.extend(event(&self.structure, configuration, &judgement, time_ns));
             }
             quantity.course.push(judgement);
         }
@@ -177,6 +204,7 @@ impl Judging {
                 expectation: judgement.expectation.as_ref().map(expectation),
                 false_alarms_per_year,
                 spent: Some(budget_spent(spent)),
+                configuration: self.configuration.clone(),
             }
         };
         self.quantities.iter().enumerate().map(display).collect()
@@ -254,15 +282,35 @@ fn budget_spent(spent: Spent) -> BudgetSpent {
     }
 }
 
-fn event(structure: &Name, judgement: &Judgement, time_ns: i64) -> Option<Event> {
+/// Returns the names of the judged quantities.
+pub(crate) fn quantity_names(plan: &JudgePlan) -> Result<Vec<Name>, JudgingError> {
+    let quantities = plan.settings.quantities.iter();
+    quantities.map(|quantity| name(&quantity.name)).collect()
+}
+
+pub(crate) fn name(text: &str) -> Result<Name, JudgingError> {
+    Name::new(text).map_err(|source| JudgingError::Name {
+        found: text.to_owned(),
+        source,
+    })
+}
+
+/// Returns the event of a change that was found in the epoch with this middle (ns).
+fn event(
+    structure: &Name,
+    configuration: Option<&str>,
+    judgement: &Judgement,
+    time_ns: i64,
+) -> Option<Event> {
     let finding = judgement.finding.as_ref()?;
+    let judged = configuration.map(|name| format!(" Configuration {name}."));
     Some(Event {
         structure: structure.clone(),
         time_ns,
         kind: EventKind::LastingChange,
         subject: judgement.quantity.clone(),
         what: finding.name().to_owned(),
-        why: judgement.sentence(),
+        why: judgement.sentence() + &judged.unwrap_or_default(),
     })
 }
 

@@ -8,12 +8,13 @@
 //! with the same reader, so both give the same judgements, bit for bit.
 //!
 //! Users can send annotations. An annotation with a new reference discards the former reference.
-//! Annotations are stored in the same folder as the epochs.
+//! Annotations are stored in the same folder as the epochs, and so is each configuration with which
+//! the structure was judged. From these files, [`judge_past`] repeats a past judgement.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
 //! - [`course_row`]: a judgement as a row of the history of the quantity
 //! - `judging`: closed epochs in, judgements and events out
-//! - `epoch_log`, `annotations`: the files of the epochs and of the annotations
+//! - `epoch_log`, `annotations`, `configurations`: the files
 //! - `bench`: keeps what arrives, then judges it
 //! - [`new_reference`], [`read_annotations`]: the same for a series offline
 //! - [`JudgeService`], [`JudgePlanned`]: the service
@@ -25,18 +26,22 @@ mod epochs;
 mod judging;
 
 mod annotations;
+mod configurations;
 mod epoch_log;
 
 mod error;
 
 mod bench;
+mod past;
 mod service;
 
 #[cfg(test)]
 mod testing;
 
 pub use annotations::read as read_annotations;
+pub use configurations::Configuration;
 pub use course::{LEAST_LN_EVIDENCE, course_row};
-pub use error::JudgingError;
+pub use error::{JudgingError, NoPast};
 pub use judging::new_reference;
+pub use past::{PastJudgement, judge_past};
 pub use service::{JudgePlanned, JudgeService};

@@ -3,7 +3,7 @@
 use crate::bench::{Bench, Saved};
 use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, QuantitySource, Sources};
 use crate::error::JudgingError;
-use crate::judging::Judging;
+use crate::judging::{Judging, name, quantity_names};
 use spandrel_bus::{
     Annotation, BoxedFuture, DisplayPublisher, Event, EventKind, JudgementDisplay, KeyFamily, Keys,
     LiveToken, LiveWatch, Name, Pace, Question, Questions, Service, SpanQuery, Subscription,
@@ -119,26 +119,18 @@ impl JudgeService {
             let plan = structure.judge().ok_or_else(|| JudgingError::NotJudged {
                 structure: structure.name().to_owned(),
             })?;
-            let quantities = plan.settings.quantities.iter();
-            let names: Vec<Name> = quantities
-                .map(|quantity| name(&quantity.name))
-                .collect::<Result<_, _>>()?;
+            let names = quantity_names(plan)?;
             let sources = sources(structure, plan)?;
             warn_without_source(structure, plan, &sources);
+            let ServiceInstance { bus, clock, .. } = instance;
             let saved = remembering.as_ref().map(|remembering| Saved {
                 folder: remembering.folder.clone(),
                 plan: plan.clone(),
             });
             let bench = tokio::task::block_in_place(|| {
-                let judging = Judging::new(
-                    keys.structure().clone(),
-                    names.clone(),
-                    conditions(plan)?,
-                    plan.settings.clone(),
-                )?;
-                Bench::open(judging, saved)
+                let judging = Judging::of_plan(keys.structure().clone(), plan)?;
+                Bench::open(judging, saved, *clock)
             })?;
-            let ServiceInstance { bus, clock, .. } = instance;
             let mut topics = BTreeMap::new();
             for name in names {
                 let topic = bus.publish_display(keys.judgement(&name)).await?;
@@ -391,18 +383,6 @@ impl JudgeService {
         };
         Ok(self.status.put(report).await?)
     }
-}
-
-fn name(text: &str) -> Result<Name, JudgingError> {
-    Name::new(text).map_err(|source| JudgingError::Name {
-        found: text.to_owned(),
-        source,
-    })
-}
-
-fn conditions(plan: &JudgePlan) -> Result<Vec<Name>, JudgingError> {
-    let conditions = plan.settings.conditions.iter();
-    conditions.map(|condition| name(&condition.name)).collect()
 }
 
 fn sources(structure: &Structure, plan: &JudgePlan) -> Result<Sources, JudgingError> {

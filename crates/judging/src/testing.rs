@@ -99,6 +99,23 @@ pub(crate) fn closed(number: i64) -> ClosedEpoch {
     }
 }
 
+/// Returns an epoch of a day (three of them), with a share of the stiffness.
+pub(crate) fn of_day(day: i64, third: i64, stiffness: f64) -> ClosedEpoch {
+    let middle_ns = (day * 86_400 + third * 28_800 + 14_400) * S;
+    // Irregular and reproducible, without a trend.
+    let scatter = 0.004 * ((day * 3 + third) as f64 * 2.399).sin();
+    let deck = 10.0 + 8.0 * (day as f64 * 0.9).sin();
+    ClosedEpoch {
+        middle_ns,
+        epoch: Epoch {
+            time_s: ClosedEpoch::time_s(middle_ns),
+            quantities: vec![Some(stiffness * (1.0 - 0.001 * deck + scatter)), None],
+            conditions: vec![Some(deck)],
+        },
+        ..closed(0)
+    }
+}
+
 /// Returns the mode `bending` after an epoch that ends at `second`.
 pub(crate) fn frequency(second: i64, frequency_hz: f64) -> ModeDisplay {
     ModeDisplay {

@@ -133,5 +133,6 @@ fn judgement(structure: &Name, quantity: Name, interval: CredibleInterval) -> Ju
         expectation: None,
         false_alarms_per_year: 0.1,
         spent: None,
+        configuration: None,
     }
 }

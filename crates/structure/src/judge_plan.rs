@@ -3,11 +3,15 @@
 use crate::error::StructureError;
 use crate::file::StructureFile;
 use crate::structure::read_text;
+use serde::{Deserialize, Serialize};
 use spandrel_judge::Settings;
 use std::path::Path;
 
 /// The `[judge]` table.
-#[derive(Debug, Clone, PartialEq)]
+///
+/// The service `judge` records it. A new field, also of [`Settings`], therefore needs a default for
+/// the records of former versions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JudgePlan {
     /// What is judged, under which conditions and with which budget.
     pub settings: Settings,

@@ -328,6 +328,8 @@ class Judgement:
     seen: Optional[ChangeSeen] = None
     #: What all quantities of the structure have spent of the budget.
     spent: Optional[BudgetSpent] = None
+    #: Name of the configuration in force. None without a state folder.
+    configuration: Optional[str] = None
 
 
 @dataclass(frozen=True)

@@ -176,6 +176,11 @@ pub struct JudgementDisplay {
     /// does not count it.
     #[serde(default)]
     pub spent: Option<BudgetSpent>,
+    /// Name of the configuration in force, from which `spandrel judge --at` repeats the judgement;
+    /// at most [`MAX_LABEL_BYTES`](super::MAX_LABEL_BYTES), without control characters. `None`
+    /// without a state folder.
+    #[serde(default)]
+    pub configuration: Option<String>,
 }
 
 impl JudgementDisplay {
@@ -207,6 +212,9 @@ impl Message for JudgementDisplay {
         }
         if let Some(change) = &self.change {
             change.check()?;
+        }
+        if let Some(configuration) = &self.configuration {
+            check_label("configuration", configuration)?;
         }
         if let Some(seen) = &self.seen {
             check_label("who", &seen.who)?;
@@ -297,6 +305,7 @@ mod tests {
                 alarms: 1,
                 alarms_in_last_year: 1,
             }),
+            configuration: Some("0123456789abcdef".to_owned()),
         }
     }
 
@@ -354,6 +363,11 @@ mod tests {
         let mut wrong = display();
         wrong.spent.as_mut().unwrap().promised = f64::INFINITY;
         assert!(wrong.check().is_err());
+        let wrong = JudgementDisplay {
+            configuration: Some("a\nb".to_owned()),
+            ..display()
+        };
+        assert!(matches!(wrong.check(), Err(Malformed::Control { .. })));
         let wrong = JudgementDisplay {
             false_alarms_per_year: -1.0,
             ..display()

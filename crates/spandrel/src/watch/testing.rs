@@ -159,6 +159,7 @@ pub fn lasting_loss(quantity: &str) -> JudgementDisplay {
         expectation: None,
         false_alarms_per_year: 0.1,
         spent: None,
+        configuration: None,
     }
 }
 
