@@ -1,6 +1,8 @@
 //! The service `judge`, fed with the estimates and temperatures of years in seconds.
 
-use crate::support::{DEADLINE, HOUSE, Process, SeasonRow, Site, StiffnessLoss, seasons, within};
+use crate::support::{
+    DEADLINE, Finished, HOUSE, Process, SeasonRow, Site, StiffnessLoss, seasons, within,
+};
 use serde_json::Value;
 use spandrel_bus::{
     Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay,
@@ -227,6 +229,40 @@ impl Others {
             .collect();
         lines.pop();
         lines.join("\n") + "\n"
+    }
+
+    /// Runs `spandrel judge --at` for the time of an epoch.
+    fn past(&self, epoch_ns: i64, options: &[&str]) -> Finished {
+        let at = format!(
+            "{}.{:09}",
+            epoch_ns / SECOND_NS,
+            epoch_ns.rem_euclid(SECOND_NS)
+        );
+        let root = self.site.keys().root().to_string();
+        let mut command = crate::support::spandrel("judge");
+        command.env("XDG_STATE_HOME", self.state_folder());
+        command.arg(self.site.structure_file());
+        command.args(["--root", &root, "--at", &at]).args(options);
+        Process::start(&mut command).wait()
+    }
+
+    /// Checks that `spandrel judge --at` repeats what the service published.
+    fn assert_is_repeated(&self, published: &JudgementDisplay) {
+        let name = published.configuration.as_deref().unwrap();
+        let options = ["--json", "--with-configuration", name];
+        let said = self.past(published.epoch_ns.unwrap(), &options);
+        let stdout = said.expect_code(0).stdout;
+        let mut lines = stdout.lines();
+        let configuration: Value = serde_json::from_str(lines.next().unwrap()).unwrap();
+        assert_eq!(configuration["configuration"], name);
+        let displays = lines.map(|line| serde_json::from_str::<JudgementDisplay>(line).unwrap());
+        let mut displays = displays.filter(|display| display.quantity == published.quantity);
+        let repeated = displays.next().unwrap();
+        let expected = JudgementDisplay {
+            time_ns: repeated.time_ns,
+            ..published.clone()
+        };
+        assert_eq!(repeated, expected);
     }
 
     fn last(&self) -> &JudgementDisplay {
@@ -587,6 +623,73 @@ async fn a_loss_of_simulated_samples_is_judged_and_pages_nobody() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_past_judgement_is_repeated_with_the_configuration_of_then() {
+    let loss = StiffnessLoss {
+        share: 0.15,
+        day: 45,
+    };
+    let rows = seasons(1, 80, Some(loss));
+    let mut others = Others::start(house(SHORT)).await;
+    let judge = others.judge().await;
+    others.publish(&rows, 0..70, |deck| deck).await;
+    let before: Vec<JudgementDisplay> = others.judged.values().cloned().collect();
+    judge.kill();
+    let file = others.site.structure_file().to_owned();
+    let text = std::fs::read_to_string(&file).unwrap();
+    let other = format!("false-alarms-per-year = 0.05\n{SHORT}");
+    std::fs::write(&file, text.replace(SHORT, &other)).unwrap();
+    let judge = others.judge().await;
+    others.publish(&rows, 70..80, |deck| deck).await;
+    let last = others.last().clone();
+    assert_eq!(last.false_alarms_per_year, 0.05);
+    others.assert_is_repeated(&last);
+    let found = before.iter().find(|display| display.change.is_some());
+    let found = found.unwrap();
+    let (first, second) = (&found.configuration, &last.configuration);
+    assert_ne!(first, second);
+    for published in [found, &before[0], before.last().unwrap()] {
+        assert_eq!(&published.configuration, first);
+        others.assert_is_repeated(published);
+    }
+
+    // Also while the service runs, and for people.
+    let (epoch_ns, first) = (found.epoch_ns.unwrap(), first.as_deref().unwrap());
+    let said = others.past(epoch_ns, &[]).expect_code(0).stdout;
+    for part in [
+        format!("configuration {first} since "),
+        "0.1 false alarms per year, loss 2.0 %".to_owned(),
+        format!("storey-1: {}: {}", found.word(), found.sentence),
+    ] {
+        assert!(said.contains(&part), "{part}\n{said}");
+    }
+    let second = second.as_deref().unwrap();
+    others
+        .past(epoch_ns, &["--with-configuration", second])
+        .expect_code(2)
+        .expect_told(&[&format!(
+            "configuration {second} was not in force, but {first}"
+        )]);
+    let too_early = (FIRST_DAY - 1) * 86_400 * SECOND_NS;
+    others
+        .past(too_early, &[])
+        .expect_code(2)
+        .expect_told(&["the first saved epoch is that of 2024-07-01T"]);
+    let file = find(&others.state_folder(), "judge-configurations.jsonl");
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replacen("0.02", "0.03", 1)).unwrap();
+    others
+        .past(epoch_ns, &[])
+        .expect_code(1)
+        .expect_told(&["judge-configurations.jsonl:1: is damaged"]);
+    std::fs::remove_file(&file).unwrap();
+    others
+        .past(epoch_ns, &[])
+        .expect_code(2)
+        .expect_told(&["judge-configurations.jsonl: contains no configuration"]);
+    judge.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_frozen_thermometer_gives_no_statement() {
     let rows = seasons(1, 45, None);
     let mut others = Others::start(house(SHORT)).await;
@@ -604,6 +707,22 @@ async fn a_frozen_thermometer_gives_no_statement() {
 }
 
 #[test]
+fn a_past_judgement_needs_one_structure_and_a_time() {
+    let site = house(SHORT);
+    let mut command = crate::support::spandrel("judge");
+    Process::start(command.args(["--at", "2026-03-01"]))
+        .wait()
+        .expect_code(2)
+        .expect_told(&["0 structure files are given with --at, must be 1"]);
+    let mut command = crate::support::spandrel("judge");
+    command.arg(site.structure_file());
+    Process::start(command.args(["--at", "yesterday"]))
+        .wait()
+        .expect_code(2)
+        .expect_told(&["--at: \"yesterday\", must be seconds since 1970"]);
+}
+
+#[test]
 fn judge_without_series_needs_a_judged_structure() {
     let site = Site::with(HOUSE);
     Process::start(&mut site.listening("judge"))
@@ -614,5 +733,5 @@ fn judge_without_series_needs_a_judged_structure() {
     Process::start(command.arg("--report"))
         .wait()
         .expect_code(2)
-        .expect_told(&["--report, --json and --course need --series"]);
+        .expect_told(&["--report and --course need --series"]);
 }

@@ -154,13 +154,14 @@ pub enum Command {
     Check(CheckArguments),
     /// Judge stiffnesses or natural frequencies for lasting change: live, or a series offline.
     ///
-    /// Without --series, run the service that judges the live estimates.
+    /// Without --series and --at, run the service that judges the live estimates.
     #[command(
         after_help = "Examples: spandrel judge --config spandrel.toml\n          \
                       spandrel judge footbridge.toml --series footbridge.csv\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --report\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --json\n          \
-                      spandrel judge footbridge.toml --series footbridge.csv --course days.csv"
+                      spandrel judge footbridge.toml --series footbridge.csv --course days.csv\n          \
+                      spandrel judge bridge.toml --at 2026-03-01T12:00:00Z"
     )]
     Judge(JudgeArguments),
     /// Report what earthquakes did to a structure: peaks, softening, recovery and lasting loss.

@@ -321,8 +321,17 @@ pub enum AppError {
         found: usize,
     },
     /// `--report`, `--json` or `--course` was given without a series.
-    #[error("--report, --json and --course need --series")]
+    #[error("--report and --course need --series, and --json needs --series or --at")]
     NoSeries,
+    /// None or several structures were given for one past judgement.
+    #[error("{found} structure files are given with --at, must be 1")]
+    PastOfStructures {
+        /// Number of structure files.
+        found: usize,
+    },
+    /// The state is switched off.
+    #[error("past judgements need a state folder, but state.folder is \"none\"")]
+    NoFolderOfPast,
     /// The system defines no folder for persistent state.
     #[error(
         "no folder for persistent state: none of STATE_DIRECTORY, XDG_STATE_HOME and HOME is set; \
@@ -396,7 +405,7 @@ pub enum AppError {
         /// The time limit, s.
         within_s: u64,
     },
-    /// An option of `spandrel annotate` is not valid.
+    /// An option of `spandrel annotate` or `spandrel judge` is not valid.
     #[error("{option}: {found}, must be {allowed}")]
     Annotation {
         /// The option.
@@ -758,6 +767,8 @@ impl AppError {
             | Self::ReadingOfStructure
             | Self::SeriesOfStructures { .. }
             | Self::NoSeries
+            | Self::PastOfStructures { .. }
+            | Self::NoFolderOfPast
             | Self::NoPage
             | Self::NoHistory
             | Self::NoRecipients

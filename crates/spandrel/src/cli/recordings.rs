@@ -28,6 +28,15 @@ pub struct JudgeArguments {
     /// Write one row per quantity and day to this CSV file.
     #[arg(long, value_name = "FILE")]
     pub course: Option<PathBuf>,
+    /// Repeat the judgement of the service at this time, with the configuration in force then.
+    ///
+    /// Seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z. The epochs and
+    /// configurations are read from the state folder.
+    #[arg(long, value_name = "TIME", conflicts_with_all = ["series", "report", "course"])]
+    pub at: Option<String>,
+    /// Configuration of the judgement, if several have judged the epoch [default: the first one].
+    #[arg(long, value_name = "NAME", requires = "at")]
+    pub with_configuration: Option<String>,
     #[command(flatten)]
     pub service: ServiceArguments,
 }

@@ -1,5 +1,7 @@
 //! `spandrel judge`: judges live estimates, or a series of natural frequencies or stiffnesses
-//! offline.
+//! offline, or repeats a past judgement.
+
+mod past;
 
 use super::run::{Services, one};
 use super::{print, refuse_overwriting};
@@ -24,6 +26,9 @@ const MOST_ANNOTATION_BYTES: u64 = 64 << 20;
 /// # Errors
 /// A file is not valid, a condition has a value that its unit does not allow, or the service fails.
 pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
+    if let Some(at) = &arguments.at {
+        return past::run(arguments, at);
+    }
     let structures = &arguments.service.structures;
     let structure = match (structures.as_slice(), arguments.series.is_empty()) {
         (_, true) if arguments.report || arguments.json || arguments.course.is_some() => {
