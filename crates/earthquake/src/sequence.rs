@@ -23,6 +23,8 @@ use crate::course::{EventCourse, WeakMotion};
 use crate::error::{EarthquakeError, require};
 use serde::Serialize;
 
+/// Maximum time between recordings of one occasion (ns): half a day.
+const OCCASION_NS: i64 = 12 * 3_600 * 1_000_000_000;
 /// Scatter τ between events that is assumed while fewer than four events show their own (Δ ln k).
 ///
 /// The weak motion of a highway bridge scatters by 10 % of stiffness between events.
@@ -251,11 +253,17 @@ impl EventJudgement {
     }
 }
 
+/// The first event of an occasion, and its time (ns since 1970-01-01 UTC).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Occasion(usize, Option<i64>);
+
 /// The events of one parameter in the order of time.
 #[derive(Debug, Clone)]
 pub struct Sequence {
     settings: JudgeSettings,
     events: Vec<EventCourse>,
+    /// Occasion of each event. The recordings of one occasion count as one event.
+    occasions: Vec<Occasion>,
     softened: Vec<Option<Softened>>,
     /// Whether the weak motion of each event was softer than the earlier events predicted.
     is_softer: Vec<bool>,
@@ -273,15 +281,30 @@ impl Sequence {
         Ok(Self {
             settings,
             events: Vec::new(),
+            occasions: Vec::new(),
             softened: Vec::new(),
             is_softer: Vec::new(),
             reference_from: 0,
         })
     }
 
-    /// Adds an event that is later than all others, and judges it.
-    pub fn push(&mut self, event: EventCourse) -> EventJudgement {
+    /// Adds an event that is later than all others, and judges it. `time_ns` is the time of its
+    /// recording, ns since 1970-01-01 UTC, if it is known.
+    ///
+    /// A recording without shaking that follows the one before it within twelve hours belongs to
+    /// the same occasion. Temperature and moisture, which make events scatter, are then the same,
+    /// so that both together count as one event.
+    pub fn push(&mut self, event: EventCourse, time_ns: Option<i64>) -> EventJudgement {
         let index = self.events.len();
+        let occasion = match (self.occasions.last(), time_ns) {
+            (Some(&Occasion(first, Some(begun_ns))), Some(time_ns))
+                if !event.has_shaking && time_ns.saturating_sub(begun_ns) <= OCCASION_NS =>
+            {
+                Occasion(first, Some(begun_ns))
+            }
+            _ => Occasion(index, time_ns),
+        };
+        self.occasions.push(occasion);
         let reference = self.reference(&event);
         let softened = reference.and_then(|reference| self.softened(&event, &reference));
         let softening = reference
@@ -327,11 +350,35 @@ impl Sequence {
 
     /// Returns the weak motion of all records from `from` to before `end`.
     fn values(&self, from: usize, end: usize) -> Vec<EventValue> {
-        let events = self.events.get(from..end).unwrap_or(&[]);
-        events
+        let events = self.events.get(from..end).unwrap_or(&[]).iter();
+        let weak = (from..)
+            .zip(events)
+            .map(|(index, event)| (index, event.weak()));
+        self.by_occasion(weak)
+    }
+
+    /// Returns one value per occasion of these weak motions, in order of time.
+    fn by_occasion(
+        &self,
+        motions: impl IntoIterator<Item = (usize, Option<WeakMotion>)>,
+    ) -> Vec<EventValue> {
+        let mut groups: Vec<(usize, Vec<EventValue>)> = Vec::new();
+        for (index, motion) in motions {
+            let Some(motion) = motion else { continue };
+            let Occasion(first, _) = self.occasions[index];
+            match groups.last_mut() {
+                Some((of, group)) if *of == first => group.push(value(motion)),
+                _ => groups.push((first, vec![value(motion)])),
+            }
+        }
+        let pooled = groups
             .iter()
-            .filter_map(EventCourse::weak)
-            .map(value)
+            .filter_map(|(_, group)| Pooled::with_scatter(group, 0.0));
+        pooled
+            .map(|pooled| EventValue {
+                value: pooled.mean,
+                std: pooled.mean_std,
+            })
             .collect()
     }
 
@@ -431,8 +478,12 @@ impl Sequence {
         let mut candidates = Vec::new();
         for since in 0..self.events.len() {
             // One weak event alone may be an outlier.
-            let later = || self.events[since + 1..].iter();
-            let is_confirmed = || later().any(|event| event.weak().is_some());
+            let is_confirmed = || {
+                let later = self.events.iter().zip(&self.occasions).skip(since + 1);
+                later
+                    .filter(|(_, occasion)| **occasion != self.occasions[since])
+                    .any(|(event, _)| event.weak().is_some())
+            };
             let is_softer = self.is_softer[since] && is_confirmed();
             if !self.events[since].has_shaking && !is_softer {
                 continue;
@@ -461,10 +512,10 @@ impl Sequence {
             });
         }
         let own = self.events[since].after;
-        let later = self.events[since + 1..]
-            .iter()
-            .filter_map(EventCourse::weak);
-        let later: Vec<EventValue> = later.map(value).collect();
+        let later: Vec<(usize, Option<WeakMotion>)> = (since + 1..self.events.len())
+            .map(|index| (index, self.events[index].weak()))
+            .filter(|(_, weak)| weak.is_some())
+            .collect();
         let windows = own.map_or(0, |own| own.windows);
         if later.is_empty() && windows < FEWEST_WINDOWS {
             return waits(Waiting::WeakMotion {
@@ -473,8 +524,8 @@ impl Sequence {
             });
         }
         // Too few windows of its own say nothing, also with later events.
-        let own = own.filter(|own| own.windows >= FEWEST_WINDOWS).map(value);
-        let after: Vec<EventValue> = own.into_iter().chain(later).collect();
+        let own = own.filter(|own| own.windows >= FEWEST_WINDOWS);
+        let after = self.by_occasion([(since, own)].into_iter().chain(later));
         let loss = self.loss(&before, &after);
         Candidate {
             since,

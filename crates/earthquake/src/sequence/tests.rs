@@ -73,7 +73,7 @@ fn judged(events: impl IntoIterator<Item = EventCourse>) -> Vec<EventJudgement> 
     let mut sequence = Sequence::new(SETTINGS).unwrap();
     events
         .into_iter()
-        .map(|event| sequence.push(event))
+        .map(|event| sequence.push(event, None))
         .collect()
 }
 
@@ -187,11 +187,11 @@ fn simulated_sequences_have_the_stated_coverage_and_rate_of_false_alarms() {
         for _ in 0..RUNS {
             let mut sequence = Sequence::new(SETTINGS).unwrap();
             for _ in 0..before {
-                sequence.push(weak(scattered(&mut random, 0.0)));
+                sequence.push(weak(scattered(&mut random, 0.0)), None);
             }
-            let mut last = sequence.push(strong(-1.0, scattered(&mut random, delta), 4));
+            let mut last = sequence.push(strong(-1.0, scattered(&mut random, delta), 4), None);
             for _ in 1..after {
-                last = sequence.push(weak(scattered(&mut random, delta)));
+                last = sequence.push(weak(scattered(&mut random, delta)), None);
             }
             // An earlier outlier may have started a new reference, rarely.
             let own = last.lasting.iter().find(|one| one.since == before);
@@ -229,10 +229,10 @@ fn interval_for_the_structure_covers_further_events() {
     for _ in 0..RUNS {
         let mut sequence = Sequence::new(SETTINGS).unwrap();
         for _ in 0..7 {
-            sequence.push(weak(scattered(&mut random, 0.0)));
+            sequence.push(weak(scattered(&mut random, 0.0)), None);
         }
         let y = scattered(&mut random, 0.0);
-        let state = sequence.push(weak(y)).weak.unwrap();
+        let state = sequence.push(weak(y), None).weak.unwrap();
         // Without a prediction, a false loss has started a new reference.
         let predicted = state.predicted;
         wide += u32::from(predicted.is_some_and(|interval| interval.contains(y.exp())));
@@ -252,4 +252,29 @@ fn settings_out_of_range_are_named() {
     };
     let told = Sequence::new(wrong).unwrap_err().to_string();
     assert_eq!(told, "loss is 1, must be above 0 and below 1");
+}
+
+/// The recordings minutes and an hour after an earthquake share its temperature and moisture.
+#[test]
+fn recordings_of_the_same_hours_count_as_one_event() {
+    const HOUR_NS: i64 = 3_600_000_000_000;
+    let last = |hours: &[i64]| {
+        let mut sequence = Sequence::new(SETTINGS).unwrap();
+        for (index, y) in [0.0, 0.02, -0.02, 0.01, 0.03].into_iter().enumerate() {
+            sequence.push(weak(y), Some(index as i64 * 1_000 * HOUR_NS));
+        }
+        let start_ns = 5_000 * HOUR_NS;
+        let mut last = sequence.push(strong(-1.0, -0.1, 4), Some(start_ns));
+        for hours in hours {
+            last = sequence.push(weak(-0.1), Some(start_ns + hours * HOUR_NS));
+        }
+        last.own().or(last.lasting.last()).unwrap().loss.unwrap()
+    };
+    assert_eq!(last(&[0, 1, 11]).later, 1);
+    assert_eq!(last(&[0, 1, 24, 168]).later, 3);
+    let (alone, repeated, days) = (last(&[]), last(&[0, 1, 11]), last(&[24, 48, 168]));
+    // The recordings are more precise together, but the scatter between events remains.
+    assert!(
+        repeated.probability - alone.probability < 0.5 * (days.probability - alone.probability)
+    );
 }

@@ -116,7 +116,7 @@ impl Course {
         }
         let identified = identify(&with, record)?;
         let motions = whole::motions(structure, record)?;
-        let parameters = self.judge(&windows, &identified, &motions, &name);
+        let parameters = self.judge(&windows, &identified, &motions, &name, record.time_ns());
         EventReport::new(Parts {
             structure,
             record,
@@ -137,6 +137,7 @@ impl Course {
         identified: &Identified,
         motions: &[MeasuredMotion],
         name: &EventName,
+        time_ns: Option<i64>,
     ) -> Vec<ParameterReport> {
         let each = self.judged.iter_mut().map(|judged| {
             let Judged {
@@ -156,7 +157,7 @@ impl Course {
                 softest: course.softest().map(|point| point.y.exp()),
             });
             let expected = sequence.expected();
-            let judgement = sequence.push(course.clone());
+            let judgement = sequence.push(course.clone(), time_ns);
             ParameterReport {
                 name: judged.name.clone(),
                 source: judged.source,
