@@ -8,6 +8,7 @@ use crate::health::{self, LIVE_PATH, READY_PATH};
 use crate::history::{self, Asked, Format, Refused};
 use crate::judgements;
 use crate::live;
+use crate::log::{self, FromHistory, WantedLog};
 use crate::metrics::{self, metrics};
 use crate::overview::overview;
 use crate::page::{ASSETS, TRANSPORT_SECURITY, with_headers};
@@ -30,7 +31,7 @@ use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Extension, Json, Router};
 use serde::Deserialize;
 use serde_json::json;
-use spandrel_bus::{Acknowledgement, AlertState, Name};
+use spandrel_bus::{Acknowledgement, AlertState, Name, Service};
 use spandrel_service::{Audit, Refused as Audited};
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
@@ -58,6 +59,11 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             "/api/structures/{structure}/history",
             Method::GET,
             get(read_history),
+        ),
+        (
+            "/api/structures/{structure}/log",
+            Method::GET,
+            get(read_log),
         ),
         (
             "/api/structures/{structure}/spectra",
@@ -297,6 +303,36 @@ async fn read_history(
     Ok(match asked.format {
         Format::Json => Json(span).into_response(),
         Format::Csv => csv(&name, span.csv()),
+    })
+}
+
+async fn read_log(
+    State(server): Shared,
+    Path(name): Path<String>,
+    asked: Result<Query<log::Asked>, QueryRejection>,
+) -> Result<Response, Mistake> {
+    let Query(asked) = asked?;
+    let wanted = WantedLog::new(&asked)?;
+    let has_history = find(&server, &name)?.state.has(Service::History);
+    let (history, log) = if has_history {
+        let log = server.ask_log(&name, &wanted.query()).await;
+        let history = log
+            .as_ref()
+            .map_or(FromHistory::NoReply, |_| FromHistory::Read);
+        (history, log)
+    } else {
+        (FromHistory::Absent, None)
+    };
+    // After the query, so that nothing that happens meanwhile is missing.
+    let past = find(&server, &name)?.past();
+    let write = move || wanted.response(past, history, log);
+    let written = tokio::task::spawn_blocking(write).await;
+    written.map_err(|error| {
+        Mistake::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            error.to_string(),
+            "try again",
+        )
     })
 }
 

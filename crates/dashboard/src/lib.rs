@@ -29,9 +29,9 @@
 //! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
 //! and `overview` (what needs attention, and why), `frequencies` (the same without a model),
 //! `levels` (samples of the last minute), `conditions` (temperatures and the like), `view` (data
-//! for the page), `history` (spans of time), `judgements` (years of a judged quantity), `entries` and
-//! `annotations` (what people enter), `reports` (reports of earthquakes), `stretch` and `samples`
-//! (samples of a range as a file).
+//! for the page), `history` (spans of time), `log` (changes and events of a period), `judgements`
+//! (years of a judged quantity), `entries` and `annotations` (what people enter), `reports` (reports
+//! of earthquakes), `stretch` and `samples` (samples of a range as a file).
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
 //! heads), `gate` and `entrance` (who may do what).
@@ -64,6 +64,7 @@ mod annotations;
 mod entries;
 mod history;
 mod judgements;
+mod log;
 mod reports;
 mod samples;
 mod stretch;

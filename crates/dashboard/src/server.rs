@@ -8,7 +8,7 @@ use crate::store::Store;
 use crate::stretch::{Stretch, Unreadable};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Annotation, Bus, BusError, Event, FrameBlock,
-    HistorySpan, JudgementCourse, Keys, Name, ReportPage, SpanQuery,
+    HistoryLog, HistorySpan, JudgementCourse, Keys, Name, ReportPage, SpanQuery,
 };
 use spandrel_listener::Input;
 use spandrel_service::Clock;
@@ -248,6 +248,22 @@ impl Server {
             });
         }
         asked.join_all().await.into_iter().flatten().collect()
+    }
+
+    /// Queries the history service for the alerts, acknowledgements and events of a period. Returns
+    /// `None` without a reply in time.
+    pub(crate) async fn ask_log(&self, structure: &str, query: &SpanQuery) -> Option<HistoryLog> {
+        let mut structures = self.structures.iter();
+        let (keys, _) = structures.find(|(keys, _)| keys.structure().as_str() == structure)?;
+        let selector = format!("{}?{query}", keys.history_log());
+        let answers = self.bus.ask::<HistoryLog>(&selector, HISTORY_WITHIN);
+        let answers = answers
+            .await
+            .inspect_err(|error| warn!(%error, "cannot query the log of the history"))
+            .ok()?;
+        // If several services reply, take the reply with the most messages.
+        let logs = answers.into_iter().map(|(_, log)| log);
+        logs.max_by_key(|log| log.alerts.len() + log.acknowledgements.len() + log.events.len())
     }
 
     /// Queries the service `judge` for the history of a quantity. Returns `None` without a reply in

@@ -338,12 +338,16 @@ impl Store {
     }
 
     fn take_note(&mut self, note: Acknowledgement) {
+        self.join_note(note);
+        self.notes.truncate(CHANGES_KEPT);
+    }
+
+    fn join_note(&mut self, note: Acknowledgement) {
         if !self.notes.contains(&note) {
             let place = self
                 .notes
                 .partition_point(|known| known.time_ns > note.time_ns);
             self.notes.insert(place, note);
-            self.notes.truncate(CHANGES_KEPT);
         }
     }
 
@@ -400,6 +404,24 @@ impl Store {
     /// Adds past changes that are not known yet. Only the alert service determines the current
     /// state of alerts.
     fn take_past(&mut self, log: HistoryLog) {
+        self.join(log);
+        self.changes.truncate(CHANGES_KEPT);
+        self.events.truncate(EVENTS_KEPT);
+        self.notes.truncate(CHANGES_KEPT);
+    }
+
+    /// Returns a store with only the changes, acknowledgements and events of this one.
+    pub(crate) fn past(&self) -> Self {
+        Self {
+            notes: self.notes.clone(),
+            changes: self.changes.clone(),
+            events: self.events.clone(),
+            ..Self::new(self.about.clone())
+        }
+    }
+
+    /// Adds all past changes, acknowledgements and events that are not known yet, of any number.
+    pub(crate) fn join(&mut self, log: HistoryLog) {
         for alert in log.alerts {
             if is_notable(&alert) && !self.revise(&alert) {
                 let time_ns = alert.time_ns;
@@ -409,7 +431,6 @@ impl Store {
                 self.changes.insert(place, Change { alert, time_ns });
             }
         }
-        self.changes.truncate(CHANGES_KEPT);
         for event in log.events {
             if !self.events.contains(&event) {
                 let place = self
@@ -418,10 +439,9 @@ impl Store {
                 self.events.insert(place, event);
             }
         }
-        self.events.truncate(EVENTS_KEPT);
         log.acknowledgements
             .into_iter()
-            .for_each(|note| self.take_note(note));
+            .for_each(|note| self.join_note(note));
     }
 
     /// Returns `true` if data has stopped, or if alerts exist but no data has arrived.

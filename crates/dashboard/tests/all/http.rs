@@ -356,6 +356,20 @@ async fn history_is_served_as_json_and_csv() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn log_of_a_period_states_that_no_history_was_read() {
+    let site = Site::start().await;
+    site.raise(AlertState::Raised).await;
+    site.wait("an alarm", |found| found["raised"] == 1).await;
+    let log = site.get("/api/structures/demo/log").await.json();
+    assert_eq!(log["history"], "absent");
+    assert_eq!(log["cut_at_s"], Value::Null);
+    assert_eq!(log["changes"][0]["parameter"], "storey-2");
+    let before = site.get("/api/structures/demo/log?to=-1").await.json();
+    assert_eq!(before["changes"], json!([]));
+    site.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn acknowledgement_is_published_with_name_and_note() {
     let site = Site::start().await;
     let heard = site
@@ -569,6 +583,9 @@ async fn errors_name_the_mistake_and_the_allowed_values() {
     site.get(&format!("{history}?series=parameter/roof"))
         .await
         .expect_refused(400, "parameter/roof");
+    site.get("/api/structures/demo/log?most=0")
+        .await
+        .expect_refused(400, "most is 0");
     site.get("/api/alerts?state=angry")
         .await
         .expect_refused(400, "angry");
