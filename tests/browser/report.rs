@@ -202,3 +202,76 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
     browser.screenshot("report-phone").await;
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
+
+/// Regression test: the report and the list of events knew only the newest events, and said of an
+/// earlier period that there were none.
+#[tokio::test(flavor = "multi_thread")]
+async fn events_of_an_earlier_period_are_those_of_the_history() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    let period = "from=1600000000.000&to=1600086400.000";
+    let list = format!("{}#/structure/demo/events?{period}", demo.page);
+    browser.resize(1280, 900).await;
+    browser.open(&list).await;
+    let told = "document.querySelector('#panel-events').innerText";
+    // No history service runs for the demo.
+    browser
+        .wait(
+            "that no history was read",
+            &format!(
+                "{told}.includes('were not read') && {told}.includes('No history service runs')"
+            ),
+        )
+        .await;
+    assert_eq!(
+        browser
+            .evaluate(&format!("{told}.includes('No events.')"))
+            .await,
+        false
+    );
+    // The page receives the log of a history with 500 events in the period.
+    let log = "(() => {
+        const load = globalThis.fetch;
+        const event = (index) => ({ time_ns: (1.6e9 + 100 * index) * 1e9, kind: 'restart', subject: \
+        'identify', what: 'restarted', why: `number ${index}` });
+        const log = { history: 'read', cut_at_s: null, changes: [], events: Array.from({ length: \
+        500 }, (_, index) => event(500 - index)) };
+        globalThis.fetch = async (address, ...more) => (/\\/log\\?/.test(address) ? { ok: true, \
+        json: async () => structuredClone(log) } : load(address, ...more));
+        location.hash = '#/structure/demo';
+        location.hash = '#/structure/demo/events?PERIOD';
+      })()";
+    browser.evaluate(&log.replace("PERIOD", period)).await;
+    let rows = "document.querySelectorAll('.events tbody tr').length";
+    browser
+        .wait("the newest 200 events", &format!("{rows} === 200"))
+        .await;
+    browser
+        .wait(
+            "the number of the others",
+            &format!("{told}.includes('Show 200 more of 300')"),
+        )
+        .await;
+    let more = "[...document.querySelectorAll('#panel-events button')].find((one) => \
+                one.textContent.startsWith('Show 200 more')).click()";
+    browser.evaluate(more).await;
+    assert_eq!(browser.evaluate(rows).await, 400);
+    let report = format!("location.hash = '#/report?structures=demo&{period}'");
+    browser.evaluate(&report).await;
+    browser
+        .wait(
+            "the report",
+            "document.querySelector('.report[data-state=complete]')",
+        )
+        .await;
+    let listed = "[...document.querySelectorAll('.report-table.is-events')].map((table) => \
+                  [table.querySelectorAll('tbody tr').length, \
+                  table.nextElementSibling.textContent])";
+    assert_eq!(
+        browser.evaluate(listed).await,
+        json!([[300, "200 earlier ones of the period are not shown."]])
+    );
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}

@@ -2,11 +2,19 @@
 
 import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
+import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
+import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
+import { DAY_S, Span } from "./span.js";
 import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, natural, place, revisedWords, seenWords, setSentence, time } from "./words.js";
 
 /** Kinds of events that the list can be limited to. */
 const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
+
+/** Number of events that are shown at first, and with each press of the button below. */
+const STEP = 200;
+/** Shortest interval between two requests for the newest events (ms). */
+const FETCH_EVERY_MS = 10_000;
 
 function isOfKind({ isAlert, isUrgent }, kind) {
   return kind === "all" || (kind === "urgent" ? isUrgent : !isAlert);
@@ -14,11 +22,23 @@ function isOfKind({ isAlert, isUrgent }, kind) {
 
 export class EventsTab {
   key = "events";
+  /** The tab has a span of its own. Without a range, it shows the newest events. */
   hasSpan = false;
   plots = [];
+  /** The log of the span, or null before it has arrived. */
+  #log = null;
+  #asked = null;
+  #askedAt = -Infinity;
+  #most = STEP;
 
   constructor(page) {
     this.page = page;
+    this.span = Object.assign(new Span(), { usual_s: DAY_S, length_s: DAY_S });
+    this.span.onchange(() => this.#respan());
+    this.ranges = new RangeBar(this.span, null, { lengths: [], key: "events", live: t("newest-events"), label: t("period") });
+    this.more = h("button", { type: "button", class: "small", onclick: () => this.#showMore() });
+    this.older = h("button", { type: "button", class: "small", onclick: () => this.#showOlder() }, t("older-events"));
+    this.lacking = h("p", { class: "group-text", role: "status", hidden: true });
     this.rows = h("tbody");
     const option = ([value, text]) => h("option", { value }, text);
     this.shown = h("select", { "aria-label": t("shown-events"), onchange: () => this.#changed() }, Object.entries(KINDS).map(option));
@@ -27,10 +47,69 @@ export class EventsTab {
     this.table = h("div", { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("events") }, h("table", { class: "events" }, h("thead", {}, heads), this.rows));
     // The list is a page of its own, which prints well.
     const reports = h("p", { class: "group-text", hidden: !page.about.earthquakes }, h("a", { href: report(page.name, "index") }, t("earthquake-reports")));
-    this.element = h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", {}, t("events")), this.shown), reports, this.none, this.table);
+    this.element = h("section", { class: "card" }, h("div", { class: "card-head" }, h("h2", {}, t("events")), this.shown), reports, this.ranges.element, this.none, this.table, h("div", { class: "actions" }, this.more, this.older), this.lacking);
   }
 
-  update({ events, changes }) {
+  /** Fetches the log again, as after a lost connection or when the tab is opened. */
+  restart() {
+    this.#fetch();
+  }
+
+  draw() {
+    this.ranges.update();
+  }
+
+  async #fetch() {
+    const { isLive, from_s, to_s } = this.span;
+    const asked = fetchLog(this.page.name, isLive ? {} : { from_s, to_s }).catch(() => null);
+    [this.#asked, this.#askedAt] = [asked, performance.now()];
+    const log = await asked;
+    // A later request has another span.
+    if (asked !== this.#asked || log === null) return;
+    this.#log = log;
+    if (this.page.standing()) this.update(this.page.standing());
+  }
+
+  #respan() {
+    [this.#log, this.#most] = [null, STEP];
+    this.#fetch();
+    this.page.changed();
+    if (this.page.standing()) this.update(this.page.standing());
+  }
+
+  #showMore() {
+    this.#most += STEP;
+    this.update(this.page.standing());
+  }
+
+  /** Shows the time before the oldest event of the log. */
+  #showOlder() {
+    const to_s = this.#log.cut_at_s;
+    const { isLive, from_s } = this.span;
+    this.span.fix(isLive ? to_s - Math.max(this.span.newest_s - to_s, DAY_S) : from_s, to_s);
+  }
+
+  /** Returns the newest changes and events, with those of the log, as far as they are in the span. */
+  #known({ events, changes }) {
+    const { isLive, from_s, to_s } = this.span;
+    const all = [merged(changes, this.#log?.changes ?? [], keyOfChange), merged(events, this.#log?.events ?? [], keyOfEvent)];
+    if (isLive) return all;
+    const isWithin = (at_ns) => at_ns / 1e9 >= from_s && at_ns / 1e9 <= to_s;
+    return [all[0].filter(({ changed_ns: at }) => isWithin(at)), all[1].filter(({ time_ns: at }) => isWithin(at))];
+  }
+
+  /** Fetches the log again if more has happened since than a message contains. */
+  #catchUp({ events, changes }) {
+    if (!this.#log || !this.span.isLive || performance.now() - this.#askedAt < FETCH_EVERY_MS) return;
+    const has = (list, key, last) => !last || list.some((one) => key(one) === key(last));
+    if (!has(this.#log.events, keyOfEvent, events.at(-1)) || !has(this.#log.changes, keyOfChange, changes.at(-1))) this.#fetch();
+  }
+
+  update(standing) {
+    this.#catchUp(standing);
+    const [changes, events] = this.#known(standing);
+    this.span.newest_s = Math.max(...changes.map(({ changed_ns: at }) => at / 1e9), ...events.map(({ time_ns: at }) => at / 1e9), this.span.newest_s ?? -Infinity);
+    if (this.span.newest_s === -Infinity) this.span.newest_s = null;
     const ofAlert = ([change, ...others]) => {
       const { sign, word, level } = STATES[change.state];
       const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
@@ -47,15 +126,30 @@ export class EventsTab {
     const reason = ({ parameter, state, changed_ns: at, why }) => (state === "undecided" ? `${Math.floor(at / 1e9)} ${why.replaceAll(parameter, "")}` : `${at} ${parameter} ${state}`);
     const together = grouped(changes, reason);
     const all = [...together.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
-    const shown = all.filter((event) => isOfKind(event, this.shown.value));
-    this.none.hidden = shown.length > 0;
-    setText(this.none, all.length > 0 ? t("no-event-of-this-kind") : t("no-event-is-known"));
+    const found = all.filter((event) => isOfKind(event, this.shown.value));
+    const shown = found.slice(0, this.#most);
+    this.#tell(all.length, found.length);
     this.table.hidden = shown.length === 0;
     keyed(this.rows, shown, ({ key, time_ns }) => `${time_ns}/${key}`, (event) => this.#make(event), ({ why, more }, event) => {
       setSentence(why, event.why);
       setText(more, event.more ?? "");
       more.hidden = !event.more;
     });
+  }
+
+  /** Says what is not shown, and why. Only a list that the history has completed can be empty. */
+  #tell(all, found) {
+    const log = this.#log;
+    this.none.hidden = found > 0;
+    setText(this.none, log === null ? t("loading") : all > 0 ? t("no-event-of-this-kind") : log.isRead ? t("no-event-is-known") : t("no-event-read"));
+    this.more.hidden = found <= this.#most;
+    const left = Math.max(found - this.#most, 0);
+    setText(this.more, t("show-more-events", Math.min(STEP, left), left));
+    this.older.hidden = log === null || log.cut_at_s === null;
+    // Without a period, the newest events are complete without the history.
+    const lacks = log === null || (log.history === "absent" && this.span.isLive && found > 0) ? "" : whatLogLacks(log);
+    this.lacking.hidden = lacks === "";
+    setSentence(this.lacking, lacks);
   }
 
   /** What only this tab states in the address. */

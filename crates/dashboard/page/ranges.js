@@ -5,13 +5,32 @@ import { t } from "./language.js";
 import { LENGTHS } from "./span.js";
 import { duration, fieldOf, isWithoutDate, time, timeOfField, zone } from "./words.js";
 
+/**
+ * Writes times (s) into fields, and the zone or the unit beside them. A record without dates has times
+ * in seconds.
+ */
+export function showTimes(fields, times, zoneText) {
+  const isRecord = isWithoutDate(times.at(-1));
+  fields.forEach((field, index) => {
+    [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
+    field.value = isRecord ? String(Number(times[index].toFixed(3))) : fieldOf(times[index]);
+  });
+  setText(zoneText, isRecord ? "s" : zone(times.at(-1)));
+}
+
+/** Returns the time in a field of a range (s), or NaN without one. */
+export function timeIn({ type, value }) {
+  return type === "number" ? (value === "" ? NaN : Number(value)) : timeOfField(value);
+}
+
 export class RangeBar {
   /**
    * `csv()` returns the address of the visible data of all plots, and `report()` that of a report of the
-   * range. `samples` exports the samples of the range. `key` begins the identifiers of the fields.
+   * range. `samples` exports the samples of the range. `key` begins the identifiers of the fields,
+   * `live` names what the span without a range shows, and `label` the bar for a screen reader.
    */
-  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null } = {}) {
-    this.span = span;
+  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null, live = t("newest-data"), label = t("span-of-all-plots") } = {}) {
+    Object.assign(this, { span, live });
     const free = key === "range" ? "free-range" : `${key}-free-range`;
     this.buttons = lengths.map(([length, text]) => {
       const button = h("button", { type: "button", onclick: () => span.live(length) }, text);
@@ -20,8 +39,8 @@ export class RangeBar {
     this.zoomed = h("button", { type: "button", class: "back", onclick: () => span.live(span.length_s) }, t("back-to-live"));
     this.text = h("span", { class: "range-text", role: "status" });
     this.opener = h("button", { type: "button", class: "free", "aria-expanded": "false", "aria-controls": free, onclick: () => this.#toggle() }, t("from-to"));
-    this.from = h("input", { type: "datetime-local", step: 1, id: `${key}-from`, required: true });
-    this.to = h("input", { type: "datetime-local", step: 1, id: `${key}-to`, required: true });
+    this.from = h("input", { id: `${key}-from`, required: true });
+    this.to = h("input", { id: `${key}-to`, required: true });
     this.zone = h("span");
     this.told = h("span", { class: "told", role: "status" });
     this.form = h(
@@ -33,12 +52,12 @@ export class RangeBar {
       this.to,
       this.zone,
       h("button", { type: "submit" }, t("show")),
-      h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, t("csv-of-all-plots")),
+      csv ? h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, t("csv-of-all-plots")) : null,
       report ? h("a", { class: "button", href: "#", onclick: (event) => (event.currentTarget.href = report()) }, t("report")) : null,
       this.told,
       samples ? h("span", {}, t("samples"), " ", samples) : null,
     );
-    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": t("span-of-all-plots") }, this.buttons.map(({ button }) => button), this.opener), h("div", { class: "range-state" }, this.zoomed, this.text), this.form);
+    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": label }, this.buttons.map(({ button }) => button), this.opener), h("div", { class: "range-state" }, this.zoomed, this.text), this.form);
     this.update();
   }
 
@@ -46,7 +65,6 @@ export class RangeBar {
     const { span } = this;
     for (const { length, button } of this.buttons) button.setAttribute("aria-pressed", String(span.isLive && span.length_s === length));
     this.zoomed.hidden = span.isLive;
-    this.opener.hidden = isWithoutDate(span.to_s);
     setText(this.text, this.#words());
   }
 
@@ -55,15 +73,14 @@ export class RangeBar {
     this.opener.setAttribute("aria-expanded", String(!this.form.hidden));
     if (this.form.hidden) return;
     const { min, max } = this.span.shown;
-    [this.from.value, this.to.value] = [fieldOf(min), fieldOf(max)];
-    setText(this.zone, zone(max));
+    showTimes([this.from, this.to], [min, max], this.zone);
     setText(this.told, "");
     this.from.focus();
   }
 
   #submit(event) {
     event.preventDefault();
-    const [from, to] = [timeOfField(this.from.value), timeOfField(this.to.value)];
+    const [from, to] = [this.from, this.to].map(timeIn);
     if (!(to > from)) return setText(this.told, t("end-after-start"));
     setText(this.told, "");
     this.span.fix(from, to);
@@ -72,6 +89,6 @@ export class RangeBar {
   #words() {
     const { span } = this;
     const kept = span.lacks ? t("kept-since", time(span.keptFrom_s)) : "";
-    return (span.isLive ? t("newest-data") : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
+    return (span.isLive ? this.live : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
   }
 }

@@ -5,8 +5,10 @@ import { chart, rangeOf } from "./chart.js";
 import { h, setText } from "./dom.js";
 import { eventWords } from "./events.js";
 import { t } from "./language.js";
+import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
+import { showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fieldOf, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, seenWords, setSentence, spanOf, stateOf, time, timeOfField, unit, wordOf, zone } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, seenWords, setSentence, spanOf, stateOf, time, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -14,6 +16,8 @@ const POINTS = 400;
 const SERIES_PER_REQUEST = 200;
 /** Length of the period of a report without one in its address (s). */
 const USUAL_S = 86400;
+/** Largest number of events, and of alerts, that the report of a structure lists: the newest ones. */
+const MOST_EVENTS = 300;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
 const HALF_95 = 1.96;
 /** Time before the newest data from which a period counts as the present (s). */
@@ -91,12 +95,14 @@ export class ReportPage {
     const start = (length_s) => (isWithoutDate(this.end_s) ? Math.max(0, this.end_s - length_s) : this.end_s - length_s);
     const { from_s, to_s } = this.period && !this.period.length_s ? this.period : { from_s: start(this.period?.length_s ?? USUAL_S), to_s: this.end_s };
     this.#fillForm(names, reported, from_s, to_s);
-    const series = await Promise.all(reported.map(({ about }) => pointsOf(about, from_s, to_s)));
+    const [series, logs] = await Promise.all([Promise.all(reported.map(({ about }) => pointsOf(about, from_s, to_s))), Promise.all(reported.map(({ about }) => fetchLog(about.name, { from_s, to_s })))]);
     if (!this.#isOpen) return;
+    const logged = reported.map((one, index) => withLog(one, logs[index]));
+    this.#listEvents(logged);
     // Where less is stored, the plots start with the data.
     const firsts = series.flatMap((of) => [...of.values()].map(([times]) => times[0]).filter((time) => time !== undefined));
     const shown = { from_s: firsts.length > 0 ? Math.max(from_s, Math.min(...firsts, to_s - 1)) : from_s, to_s };
-    const sections = reported.map((one, index) => section(one, series[index], { from_s, to_s }, shown));
+    const sections = logged.map((one, index) => section(one, series[index], { from_s, to_s }, shown));
     this.sheet.replaceChildren(head(reported, { from_s, to_s }, shown), ...sections);
     this.sheet.dataset.state = "complete";
     this.print.disabled = false;
@@ -111,24 +117,20 @@ export class ReportPage {
     const check = (isChecked) => choices.filter(({ hidden }) => !hidden).forEach((of) => (of.querySelector("input").checked = isChecked));
     const button = (text, isChecked) => h("button", { type: "button", class: "small", onclick: () => check(isChecked) }, text);
     if (search.element) this.finder.replaceChildren(search.element, h("span", { class: "ranges", role: "group", "aria-label": t("choose-structures") }, button(t("choose-all"), true), button(t("choose-none"), false)));
-    const isRecord = isWithoutDate(to_s);
-    for (const [field, seconds] of [[this.from, from_s], [this.to, to_s]]) {
-      // A record without dates has times in seconds.
-      [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
-      field.value = isRecord ? String(Number(seconds.toFixed(3))) : fieldOf(seconds);
-    }
-    setText(this.zone, isRecord ? "s" : zone(to_s));
-    this.isRecord = isRecord;
-    this.usual.hidden = isRecord;
-    const happened = reported.flatMap(({ about, standing, changes }) => eventsOf(standing, changes).filter(({ isListed }) => isListed).map((event) => ({ ...event, structure: about.name })));
+    showTimes([this.from, this.to], [from_s, to_s], this.zone);
+    this.usual.hidden = isWithoutDate(to_s);
+    this.form.hidden = false;
+  }
+
+  #listEvents(reported) {
+    const happened = reported.flatMap(({ about, events, changes }) => eventsOf({ events }, changes).filter(({ isListed }) => isListed).map((event) => ({ ...event, structure: about.name })));
     happened.sort((a, b) => b.time_s - a.time_s);
     this.event.append(...happened.map(({ time_s, measured_s, structure, about, what, lang }) => h("option", { value: measured_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
-    this.form.hidden = false;
   }
 
   #submit(event) {
     event.preventDefault();
-    const [from_s, to_s] = [this.from, this.to].map(({ value }) => (this.isRecord ? Number(value) : timeOfField(value)));
+    const [from_s, to_s] = [this.from, this.to].map(timeIn);
     if (!(to_s > from_s)) return setText(this.told, t("end-after-start"));
     this.#choose(from_s, to_s);
   }
@@ -139,6 +141,12 @@ export class ReportPage {
     if (names.length === 0) return setText(this.told, t("choose-at-least-one-structure"));
     location.hash = reportOf(names, { from_s, to_s });
   }
+}
+
+/** Returns a structure with the log of the period beside the newest changes and events, newest first. */
+function withLog(one, log) {
+  const changes = merged(one.changes, log.changes, keyOfChange).sort((a, b) => b.changed_ns - a.changed_ns);
+  return { ...one, log, changes, events: merged(one.standing.events, log.events, keyOfEvent).sort((a, b) => b.time_ns - a.time_ns) };
 }
 
 /** Share of a period without data from which the points are fetched again, for the rest of it. */
@@ -216,10 +224,10 @@ function head(reported, { from_s, to_s }, shown) {
 }
 
 /** Everything about one structure. */
-function section({ about, overview, standing, changes }, series, period, shown) {
+function section({ about, overview, standing, changes, events: known, log }, series, period, shown) {
   if (overview.time_s === null) return h("article", { class: "report-structure is-empty", "data-structure": about.name, "data-level": overview.level }, h("h2", {}, about.name), sentence(h("p", { lang: SERVICES }), overview.sentence));
   const isWithin = ({ measured_s: at }) => at >= period.from_s - ROUNDING_S && at <= period.to_s + ROUNDING_S;
-  const happened = eventsOf(standing, []).filter(isWithin);
+  const happened = eventsOf({ events: known }, []).filter(isWithin);
   const all = eventsOf({ events: [] }, changes).filter(isWithin);
   const alerts = all.filter(({ isListed }) => isListed);
   const others = all.length - alerts.length;
@@ -229,20 +237,23 @@ function section({ about, overview, standing, changes }, series, period, shown) 
   const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.is_filtered ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only")])];
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
   const none = (text) => h("p", { class: "group-text" }, text);
-  const events = (list, text) => (list.length === 0 ? none(text) : table(COLUMNS.events.slice(0, 3), list.map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
+  // Without the history, an empty list is not known to be complete.
+  const lacks = whatLogLacks(log);
+  const events = (list, text) => (list.length === 0 ? (log.isRead ? none(text) : null) : table(COLUMNS.events.slice(0, 3), list.slice(-MOST_EVENTS).map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
+  const left = (list) => [...(list.length > MOST_EVENTS ? [t("earlier-events-not-shown", list.length - MOST_EVENTS)] : []), ...(lacks ? [lacks] : [])].map((text) => sentence(none(text), text));
   return h(
     "article",
     { class: "report-structure", "data-structure": about.name, "data-level": overview.level },
     h("h2", {}, about.name),
     h("p", { class: "description" }, where.join(" · ")),
     h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
-    part(t("alerts-in-the-period"), events(alerts, t("no-alert")), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
+    part(t("alerts-in-the-period"), events(alerts, t("no-alert")), left(alerts), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
     about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), parameterCharts(about, standing, changes, series, shown)) : null,
     about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
     about.judged.length > 0 ? part(t("lasting-change"), standing.judgements.length === 0 ? none(t("the-service-judge-has-not-reported-yet")) : h("ul", { class: "sensor-list" }, standing.judgements.map(({ sentence: text }) => sentence(h("li", { lang: SERVICES }), text)))) : null,
     about.conditions.length > 0 ? part(t("conditions"), h("ul", { class: "sensor-list" }, standing.conditions.map((condition) => h("li", {}, conditionWords(condition).text))), charts(about.conditions, "condition", series, shown, ({ name, unit: of }) => `${name} (${unit(of)})`)) : null,
     part(t("sensors-at-the-time-of-the-report"), sensorTable(about, standing)),
-    part(t("events-in-the-period"), events(happened, t("no-event-is-known"))),
+    part(t("events-in-the-period"), events(happened, t("no-event-is-known")), left(happened)),
   );
 }
 

@@ -88,6 +88,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/events.js", SCRIPT, "../page/events.js"),
     asset!("/groups.js", SCRIPT, "../page/groups.js"),
     asset!("/lasting.js", SCRIPT, "../page/lasting.js"),
+    asset!("/log.js", SCRIPT, "../page/log.js"),
     asset!("/model.js", SCRIPT, "../page/model.js"),
     asset!("/now.js", SCRIPT, "../page/now.js"),
     asset!("/parameters.js", SCRIPT, "../page/parameters.js"),
