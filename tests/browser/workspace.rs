@@ -205,6 +205,18 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
     );
     assert_eq!(browser.evaluate(&cut).await, 0, "names are cut off");
     browser.screenshot("forty-parameters").await;
+    // Regression test: where plots of the usual size did not fit, few columns made a long page.
+    browser.resize(1270, 760).await;
+    browser
+        .wait(
+            "smaller plots that fit a lower window",
+            &format!(
+                "document.querySelector('.smalls.is-dense') && \
+                 Math.max(...{shown}.map((one) => one.getBoundingClientRect().bottom)) <= 760"
+            ),
+        )
+        .await;
+    browser.resize(1280, 900).await;
     // Regression test: nothing stated the time of the small plots, and a print distorted them.
     let times = "/ From left to right: .+ UTC to .+ \
                  UTC\\.$/.test(document.getElementById('small-scale').textContent)";

@@ -29,6 +29,7 @@ export class ParametersTab {
     this.search = searchField(parameters.length, t("find-a-part"), () => this.smalls.filter((name) => this.search.finds(name)));
     this.smalls = isMany ? new SmallPlots(page, (name) => this.#open(name)) : null;
     this.detail = h("div", { class: "detail", hidden: true });
+    if (isMany) this.smalls.above = this.detail;
     if (!isMany) this.#full = parameters.map((parameter) => this.#plot(parameter));
     const all = isMany ? this.smalls.element : h("div", { class: "plots" }, this.#full.map(({ element }) => element));
     this.element = h("section", { class: "group", id: "group-parameters" }, h("h2", { class: "sr-only" }, t("parameters")), h("div", { class: "tools" }, text, scale, this.search.element), this.detail, all);

@@ -14,13 +14,15 @@ const POINTS = 150;
  * point.
  */
 const [DRAW_EVERY_MS, DRAW_AT_LEAST_EVERY_MS] = [1000, 10_000];
-/** Smallest width, and smallest and largest height, of a small plot (px). */
-const NARROWEST = 128;
-const LOWEST = 86;
+/**
+ * Sizes of the small plots (px): smallest width and height of one, height of the name above its curve, and
+ * gap between two. The dense ones are for so many that the usual ones do not fit the window.
+ */
+const USUAL = { narrowest: 128, lowest: 86, head: 26, gap: 7, isDense: false };
+const DENSE = { narrowest: 92, lowest: 40, head: 21, gap: 4, isDense: true };
+/** Largest height of a small plot, and height of a dense one where not all fit the window (px). */
 const HIGHEST = 230;
-/** Height of the name above a plot, and gap between two plots (px). */
-const HEAD = 26;
-const GAP = 7;
+const UNFIT = 60;
 /** Smallest height that all small plots together may take (px). */
 const LEAST_HEIGHT = 320;
 /** Room below the small plots for their scale (px). */
@@ -35,6 +37,8 @@ const LEFT_OUT = 0.05;
 const LEAST_ROOM = 0.005;
 
 export class SmallPlots {
+  /** An element above the plots that comes and goes. */
+  above = null;
   #parts;
   #isFetched = false;
   #drawnAt = -Infinity;
@@ -188,23 +192,36 @@ export class SmallPlots {
     const width = this.grid.clientWidth;
     const count = this.#shown.length;
     if (width === 0 || count === 0) return;
-    const top = this.grid.getBoundingClientRect().top + scrollY;
+    // The details of a parameter are above the plots and may push them out of the window, but must not
+    // arrange them anew.
+    const above = this.above && !this.above.hidden ? this.above.offsetHeight : 0;
+    const top = this.grid.getBoundingClientRect().top + scrollY - above;
     const room = Math.max(innerHeight - top - BELOW, LEAST_HEIGHT);
-    const most = Math.max(1, Math.min(count, Math.floor((width + GAP) / (NARROWEST + GAP))));
-    const choices = Array.from({ length: most }, (_, index) => {
-      const columns = index + 1;
-      const rows = Math.ceil(count / columns);
-      const height = Math.min(Math.max(room / rows - GAP, LOWEST), HIGHEST);
-      // Empty places are lost, and so is what is below the window.
-      const filled = (count / (rows * columns)) * Math.min(rows * (height + GAP), room);
-      return { columns, height, score: rows * (height + GAP) > room + GAP ? filled / 2 - rows : filled };
-    });
-    const best = choices.reduce((best, one) => (one.score > best.score ? one : best));
+    const best = fitting(USUAL, { width, count, room }) ?? fitting(DENSE, { width, count, room }) ?? { ...DENSE, columns: mostColumns(DENSE, width, count), height: UNFIT };
     this.grid.style.setProperty("--columns", best.columns);
-    this.grid.style.setProperty("--height", `${Math.floor(best.height - HEAD)}px`);
+    this.grid.style.setProperty("--height", `${Math.floor(best.height - best.head)}px`);
+    this.grid.classList.toggle("is-dense", best.isDense);
     // A name is more important than the value, which the label contains too.
     this.grid.classList.remove("is-tight");
     this.grid.classList.toggle("is-tight", this.#shown.some(({ element }) => element.firstChild.scrollWidth > element.firstChild.clientWidth));
     this.#drawnAt = -Infinity;
   }
+}
+
+function mostColumns({ narrowest, gap }, width, count) {
+  return Math.max(1, Math.min(count, Math.floor((width + gap) / (narrowest + gap))));
+}
+
+/** Returns the columns and the height with which plots of a size fit the room and fill it best, or null. */
+function fitting(size, { width, count, room }) {
+  const { lowest, gap } = size;
+  const choices = Array.from({ length: mostColumns(size, width, count) }, (_, index) => {
+    const columns = index + 1;
+    const rows = Math.ceil(count / columns);
+    const height = Math.min(Math.max(room / rows - gap, lowest), HIGHEST);
+    // Empty places are lost.
+    return { ...size, columns, height, taken: rows * (height + gap), score: (count / (rows * columns)) * rows * (height + gap) };
+  });
+  const fits = choices.filter(({ taken }) => taken <= room + gap);
+  return fits.length > 0 ? fits.reduce((best, one) => (one.score > best.score ? one : best)) : null;
 }
