@@ -311,6 +311,22 @@ async fn five_hundred_structures_are_on_a_map_and_short_cards_that_can_be_search
          .trend:not([hidden])')?.getAttribute('aria-label').includes('over the last day')",
     )
     .await;
+    // Regression test: the line kept its light colours after a switch to dark.
+    let colours = "(() => { const canvas = document.querySelector('.trend'); const { data } = \
+                   canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); const \
+                   found = new Set(); for (let at = 0; at < data.length; at += 4) if (data[at + 3] \
+                   === 255) found.add([...data.slice(at, at + 3)].join()); return \
+                   [...found].toSorted(); })()";
+    browser.prefer("light").await;
+    let light = browser.evaluate(colours).await;
+    browser.prefer("dark").await;
+    browser
+        .wait(
+            "the colours of dark",
+            &format!("!{colours}.includes({:?})", light[0].as_str().unwrap()),
+        )
+        .await;
+    browser.prefer("light").await;
     let count = "document.querySelectorAll('.structure-card').length";
     assert_eq!(browser.evaluate(count).await, 1);
     assert_eq!(

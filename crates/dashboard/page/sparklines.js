@@ -19,10 +19,14 @@ export class Sparklines {
     this.lines = new Map();
     // A hidden canvas is never in the window, but the head of its card is.
     this.seen = new IntersectionObserver((entries) => entries.forEach(({ target, isIntersecting }) => (this.lines.get(target).isSeen = isIntersecting)));
+    this.scheme = matchMedia("(prefers-color-scheme: dark)");
+    this.recolour = () => this.lines.forEach(({ redraw }) => redraw?.());
+    this.scheme.addEventListener("change", this.recolour);
   }
 
   close() {
     this.seen.disconnect();
+    this.scheme.removeEventListener("change", this.recolour);
   }
 
   /** Prepares the line of a structure on a card. */
@@ -40,7 +44,8 @@ export class Sparklines {
     this.#fetch(canvas, line, { from_s: time_s - DAY_S, to_s: time_s }).catch(() => (line.at = -Infinity));
   }
 
-  async #fetch(canvas, { structure, parameter }, { from_s, to_s }) {
+  async #fetch(canvas, line, { from_s, to_s }) {
+    const { structure, parameter } = line;
     const query = new URLSearchParams({ series: `parameter/${parameter}`, points: POINTS, from: from_s });
     const response = await fetch(`/api/structures/${encodeURIComponent(structure)}/history?${query}`);
     if (!response.ok) return;
@@ -52,7 +57,9 @@ export class Sparklines {
     const values = rows.map((row) => means[row]);
     canvas.setAttribute("aria-label", t("over-the-last-day-from-to-of", parameter, fixed(Math.min(...values), 3), fixed(Math.max(...values), 3)));
     canvas.title = canvas.getAttribute("aria-label");
-    draw(canvas, rows.map((row) => (times[row] - from_s) / (to_s - from_s)), values);
+    const shares = rows.map((row) => (times[row] - from_s) / (to_s - from_s));
+    line.redraw = () => draw(canvas, shares, values);
+    line.redraw();
   }
 }
 
