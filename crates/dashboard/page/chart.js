@@ -8,6 +8,8 @@ import { timeTicks } from "./plot.js";
 
 /** Size of the drawing, and room around the plotted area, in its own units. */
 const [WIDTH, HEIGHT] = [360, 150];
+/** Width of a drawing that fills a row of two. */
+export const WIDE = 735;
 const ROOM = { left: 44, right: 8, bottom: 30, top: 8 };
 /** Height of a row of labels, and width of a character, above the plotted area. */
 const [ROW, CHARACTER] = [11, 5.2];
@@ -21,7 +23,7 @@ const HALF_95 = 1.96;
 const LEFT_OUT = 0.05;
 /** Possible steps of the times (s), and maximum number of times. */
 const STEPS_S = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 2 * 86400, 7 * 86400, 14 * 86400, 30 * 86400, 90 * 86400, 365 * 86400];
-const MOST_TIMES = 5;
+const [MOST_TIMES, MOST_TIMES_WIDE] = [5, 10];
 
 /** Returns the range of values of a series that a plot needs, or null without data. */
 export function rangeOf([, means, stds], more = []) {
@@ -45,8 +47,8 @@ function roundValues([low, high]) {
   return Array.from({ length: Math.max(0, Math.floor(high / step) - first + 1) }, (_, index) => ({ value: (first + index) * step, text: fixed((first + index) * step, digits) }));
 }
 
-function roundTimes(from_s, to_s) {
-  const step = STEPS_S.find((step) => (to_s - from_s) / step <= MOST_TIMES) ?? STEPS_S.at(-1);
+function roundTimes(from_s, to_s, most) {
+  const step = STEPS_S.find((step) => (to_s - from_s) / step <= most) ?? STEPS_S.at(-1);
   const first = Math.ceil(from_s / step);
   const times = Array.from({ length: Math.max(0, Math.floor(to_s / step) - first + 1) }, (_, index) => (first + index) * step);
   return { times, texts: timeTicks(times, step) };
@@ -56,11 +58,11 @@ function roundTimes(from_s, to_s) {
  * Draws a series of times, means and standard deviations.
  *
  * `marks` are moments { x, text, colour }. `bound` { y, text } is a threshold. `hasPoints` shows each
- * value as a point.
+ * value as a point. `width` is that of the drawing, in its own units.
  */
-export function chart({ columns, from_s, to_s, range, label, marks = [], bound = null, hasPoints = false }) {
+export function chart({ columns, from_s, to_s, range, label, marks = [], bound = null, hasPoints = false, width = WIDTH }) {
   const [times, means, stds] = columns;
-  const inside = WIDTH - ROOM.left - ROOM.right;
+  const inside = width - ROOM.left - ROOM.right;
   const told = flags(marks, { min: from_s, max: to_s }, inside, (text) => CHARACTER * text.length);
   const top = ROOM.top + ROW * told.reduce((most, { row }) => Math.max(most, row + 1), 0);
   const bottom = HEIGHT - ROOM.bottom;
@@ -74,14 +76,14 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
       const heights = times.flatMap((time, row) => (means[row] !== null && x(time) >= from && x(time) <= to ? [y(means[row])] : []));
       return Math.min(...heights) < y(bound.y) + BOUND_BELOW + 3 && Math.max(...heights) > y(bound.y);
     };
-    const end = WIDTH - ROOM.right;
+    const end = width - ROOM.right;
     return isCrossed(ROOM.left, ROOM.left + wide) && !isCrossed(end - wide, end) ? { x: end - 3, "text-anchor": "end" } : { x: ROOM.left + 3 };
   };
-  const svg = s("svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": label });
+  const svg = s("svg", { class: "chart", viewBox: `0 0 ${width} ${HEIGHT}`, role: "img", "aria-label": label });
   for (const { value, text } of roundValues(range)) {
-    svg.append(s("line", { class: "grid", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(value), y2: y(value) }), s("text", { class: "value", x: ROOM.left - 4, y: y(value) + 3 }, text));
+    svg.append(s("line", { class: "grid", x1: ROOM.left, x2: width - ROOM.right, y1: y(value), y2: y(value) }), s("text", { class: "value", x: ROOM.left - 4, y: y(value) + 3 }, text));
   }
-  const { times: ticks, texts } = roundTimes(from_s, to_s);
+  const { times: ticks, texts } = roundTimes(from_s, to_s, width > WIDTH ? MOST_TIMES_WIDE : MOST_TIMES);
   ticks.forEach((time, index) => {
     svg.append(s("line", { class: "grid", x1: x(time), x2: x(time), y1: top, y2: bottom }));
     String(texts[index]).split("\n").forEach((text, row) => svg.append(s("text", { class: "time", x: x(time), y: bottom + 12 + 11 * row }, text)));
@@ -94,7 +96,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
     }
     if (hasPoints) rows.forEach((row) => svg.append(s("circle", { class: "dot", cx: x(times[row]), cy: y(means[row]), r: 1.6 })));
   }
-  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", ...boundPlace(), y: y(bound.y) + BOUND_BELOW }, bound.text));
+  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: width - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", ...boundPlace(), y: y(bound.y) + BOUND_BELOW }, bound.text));
   for (const { at, row, text, from, colour } of told) {
     const line = s("line", { class: "moment", x1: ROOM.left + at, x2: ROOM.left + at, y1: row < 0 ? top : top - (row + 1) * ROW + 2, y2: bottom });
     line.style.stroke = `var(${colour})`;
@@ -104,7 +106,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
     word.style.fill = `var(${colour})`;
     svg.append(word);
   }
-  svg.append(s("line", { class: "axis", x1: ROOM.left, x2: WIDTH - ROOM.right, y1: bottom, y2: bottom }));
+  svg.append(s("line", { class: "axis", x1: ROOM.left, x2: width - ROOM.right, y1: bottom, y2: bottom }));
   return svg;
 }
 

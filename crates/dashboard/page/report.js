@@ -1,7 +1,7 @@
 // A report of a period, to be printed: states, alerts, parameters, natural frequencies, sensors and
 // events of the chosen structures.
 
-import { chart, rangeOf } from "./chart.js";
+import { WIDE, chart, rangeOf } from "./chart.js";
 import { h, setText } from "./dom.js";
 import { eventWords } from "./events.js";
 import { t } from "./language.js";
@@ -298,20 +298,20 @@ function parameterCharts({ parameters }, standing, changes, series, shown) {
   });
   const ranges = drawn.filter(({ parameter, own }) => parameter.stiffness && own).map(({ own }) => own);
   const shared = ranges.length > 0 ? [Math.min(...ranges.map(([low]) => low)), Math.max(...ranges.map(([, high]) => high))] : null;
-  const figures = drawn.map(({ parameter, columns, bound, own }) => {
+  const figures = drawn.map(({ parameter, columns, bound, own }, index) => {
     const marks = changes.filter(({ parameter: of, state }) => of === parameter.name && LISTED.includes(state)).map(({ state, changed_ns: at }) => ({ x: at / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
-    return figure(parameter.name, lastOf(columns), own && { columns, ...shown, range: parameter.stiffness ? shared : own, marks, bound, label: t("over-the-period", parameter.name) });
+    return figure(parameter.name, lastOf(columns), own && { columns, ...shown, range: parameter.stiffness ? shared : own, marks, bound, label: t("over-the-period", parameter.name) }, isAlone(index, drawn));
   });
   return h("div", {}, h("p", { class: "group-text" }, t("report-ratio-to-the-design")), h("div", { class: "charts" }, figures));
 }
 
 /** Draws series with a value now and then. */
 function charts(list, kind, series, shown, title) {
-  return h("div", { class: "charts" }, list.map((one) => {
+  return h("div", { class: "charts" }, list.map((one, index) => {
     const [times, values, stds] = series.get(`${kind}/${one.name}`) ?? [[], []];
     const columns = [times, values, kind === "mode" ? stds : values.map(() => null)];
     const range = times.length > 0 ? rangeOf(columns) : null;
-    return figure(title(one), "", range && { columns, ...shown, range, hasPoints: true, label: t("over-the-period", one.name) });
+    return figure(title(one), "", range && { columns, ...shown, range, hasPoints: true, label: t("over-the-period", one.name) }, isAlone(index, list));
   }));
 }
 
@@ -321,8 +321,15 @@ function lastOf([, means, stds]) {
   return row < 0 ? "" : `${ratio(means[row])} ± ${ratio(stds[row])}`;
 }
 
-function figure(title, last, plot) {
-  return h("figure", {}, h("figcaption", {}, title, h("span", { class: "last" }, last)), plot ? chart(plot) : h("p", { class: "group-text" }, t("no-data-in-the-period")));
+/** Returns whether a plot would be alone in a row of two. */
+function isAlone(index, list) {
+  return index === list.length - 1 && index % 2 === 0;
+}
+
+/** Creates a plot. One that is alone in its row fills it, except where each row has one plot. */
+function figure(title, last, plot, isWide) {
+  const drawings = () => (isWide ? [chart({ ...plot, width: WIDE }), chart(plot)] : [chart(plot)]);
+  return h("figure", { class: isWide ? "is-wide" : null }, h("figcaption", {}, title, h("span", { class: "last" }, last)), plot ? drawings() : h("p", { class: "group-text" }, t("no-data-in-the-period")));
 }
 
 function modeList({ modes }) {
