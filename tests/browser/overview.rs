@@ -217,6 +217,18 @@ async fn parts_without_an_alert_are_folded_away() {
       })()";
     browser.evaluate(choose).await;
     assert_eq!(browser.evaluate(seen).await, json!(vec!["normal"; 4]));
+    // Regression test: a reload forgot the filters.
+    assert_eq!(
+        browser.evaluate("location.hash").await,
+        "#/alerts?state=normal"
+    );
+    browser.reload().await;
+    browser
+        .wait(
+            "the same filter after a reload",
+            &format!("{seen}.join() === 'normal,normal,normal,normal'"),
+        )
+        .await;
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 

@@ -30,6 +30,15 @@ export function reportOf(structures, { from_s, to_s, length_s }) {
   return `#/report?${query}`;
 }
 
+/**
+ * Writes the filters of a page into its address, so that a reload, a bookmark and the way back show the
+ * same. Filters without a value are left out.
+ */
+export function rememberFilters(path, filters) {
+  const query = new URLSearchParams(Object.entries(filters).filter(([, value]) => value)).toString();
+  history.replaceState(null, "", `#/${path}${query ? `?${query}` : ""}`);
+}
+
 /** Returns the address of what a structure's page shows now. */
 /** `more` contains what only this tab states. */
 export function addressOf({ structure, tab, parameter, span, isOwnScale, more }) {

@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, changedAt, levelOf, natural, place, revisedWords, seenWords, setSentence, time, withMinus } from "./words.js";
+import { SERVICES, STATES, canBeSeen, changedAt, levelOf, natural, place, rememberFilters, revisedWords, seenWords, setSentence, time, withMinus } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement or note. */
 export const NAME_KEY = "spandrel-name";
@@ -16,9 +16,9 @@ const TELEPHONE = /\+?\d(?:[ ()/-]*\d){6,}/;
 export class AlertsPage {
   constructor(connection, parameters) {
     this.dialog = new AcknowledgeDialog(() => this.#ask());
-    this.structure = h("select", { id: "filter-structure", onchange: () => this.#show() }, h("option", { value: "" }, t("all-structures")));
-    this.state = h("select", { id: "filter-state", onchange: () => this.#show() }, h("option", { value: "" }, t("all-states")), ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, STATES[state].word)));
-    this.text = h("input", { id: "filter-text", type: "search", placeholder: t("part-or-words"), oninput: () => this.#show() });
+    this.structure = h("select", { id: "filter-structure", onchange: () => this.#filter() }, h("option", { value: "" }, t("all-structures")));
+    this.state = h("select", { id: "filter-state", onchange: () => this.#filter() }, h("option", { value: "" }, t("all-states")), ["raised", "unconfirmed", "pending", "softening-in-motion", "acknowledged", "cleared", "undecided", "normal", "learning"].map((state) => h("option", { value: state }, STATES[state].word)));
+    this.text = h("input", { id: "filter-text", type: "search", placeholder: t("part-or-words"), oninput: () => this.#filter() });
     const field = (input, text) => h("label", { for: input.id }, text, " ", input);
     this.standing = new AlertList("alerts", true, this.dialog);
     this.changes = new AlertList("alerts past", false, this.dialog);
@@ -38,6 +38,8 @@ export class AlertsPage {
       this.dialog.element,
     );
     this.wanted = parameters.get("structure") ?? "";
+    this.state.value = Object.hasOwn(STATES, parameters.get("state")) ? parameters.get("state") : "";
+    this.text.value = parameters.get("text") ?? "";
     connection.listen(null);
     this.timer = setInterval(() => document.hidden || this.#ask(), ASK_EVERY_MS);
     this.#ask();
@@ -45,6 +47,12 @@ export class AlertsPage {
 
   close() {
     clearInterval(this.timer);
+  }
+
+  /** Shows what the filters ask for, and keeps them in the address. */
+  #filter() {
+    rememberFilters("alerts", { structure: this.structure.value, state: this.state.value, text: this.text.value });
+    this.#show();
   }
 
   async #ask() {

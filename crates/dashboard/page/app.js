@@ -26,7 +26,7 @@ function route() {
   if (kind === "structure" && name) page = new StructurePage(connection, name, tab, parameters);
   else if (kind === "alerts") page = new AlertsPage(connection, parameters);
   else if (kind === "report") page = new ReportPage(connection, parameters);
-  else if (chunks.length === 0) page = new OverviewPage(connection);
+  else if (chunks.length === 0) page = new OverviewPage(connection, parameters);
   else page = notThere();
   main.replaceChildren(page.element);
   mark("nav-structures", chunks.length === 0 || kind === "structure");

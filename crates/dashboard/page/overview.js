@@ -1,12 +1,12 @@
 // All structures, the most urgent first.
 
-import { h, keyed, setText } from "./dom.js";
+import { h, keyed, setAttribute, setText } from "./dom.js";
 import { report } from "./events.js";
 import { language, t } from "./language.js";
 import { StructureMap } from "./map.js";
 import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
-import { HEALTH, LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, setSentence, time, withMinus, wordOf } from "./words.js";
+import { HEALTH, LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, rememberFilters, setSentence, time, withMinus, wordOf } from "./words.js";
 
 /** Maximum number of sensors that a card names. */
 const MOST_SENSORS = 4;
@@ -14,16 +14,20 @@ const MOST_SENSORS = 4;
 const LATE_S = 10;
 
 export class OverviewPage {
-  constructor(connection) {
+  constructor(connection, parameters = new URLSearchParams()) {
     this.connection = connection;
+    this.wanted = parameters.get("find") ?? "";
     this.summary = h("p", { class: "summary" }, t("loading"));
     this.list = h("ul", { class: "structures" });
+    const heads = { state: t("state"), name: t("structure"), reason: t("reason"), fit: t("fit"), sensors: t("sensors-alive"), trend: t("last-day") };
+    // Each row states the same, so the titles are only for the eye.
+    this.heads = h("div", { class: "structure-heads", "aria-hidden": "true", hidden: true }, Object.entries(heads).map(([key, text]) => h("span", { class: `head-${key}` }, text)));
     this.none = h("p", { class: "empty", hidden: true }, t("no-structure-matches-the-search"));
     this.map = new StructureMap();
     this.tools = h("div", { class: "tools" });
     this.reported = h("ol", { class: "reported" });
     this.quakes = h("section", { class: "card", "aria-labelledby": "after-earthquake", hidden: true }, h("h2", { id: "after-earthquake" }, t("after-the-earthquake")), this.reported);
-    this.element = h("div", { class: "overview" }, h("h1", {}, t("structures")), this.summary, this.quakes, this.tools, this.list, this.none, this.map.element);
+    this.element = h("div", { class: "overview" }, h("h1", {}, t("structures")), this.summary, this.quakes, this.tools, this.heads, this.list, this.none, this.map.element);
     this.lines = new Sparklines();
     connection.listen(null);
     this.leave = connection.on("overview", (message) => this.show(message));
@@ -35,6 +39,11 @@ export class OverviewPage {
     this.map.close();
   }
 
+  #find() {
+    rememberFilters("", { find: this.search.text() });
+    this.show({ structures: this.structures });
+  }
+
   show({ structures: all }) {
     const structures = all.toSorted((a, b) => urgency(a) - urgency(b) || natural(a.name, b.name));
     const shaken = structures.filter(({ earthquake }) => earthquake).toSorted(byUrgency);
@@ -42,13 +51,14 @@ export class OverviewPage {
     setText(this.summary, text);
     this.summary.dataset.level = level;
     // Only many structures need a search and short cards.
-    this.search ??= searchField(structures.length, t("find-a-structure"), () => this.show({ structures: this.structures }));
+    this.search ??= searchField(structures.length, t("find-a-structure"), () => this.#find(), this.wanted);
     if (this.search.element && !this.search.element.parentElement) this.tools.append(this.search.element);
     this.structures = structures;
     this.quakes.hidden = shaken.length === 0;
     keyed(this.reported, shaken, ({ name }) => name, makeReported, updateReported);
     const isMany = structures.length > SEARCH_ABOVE;
     this.list.classList.toggle("is-many", isMany);
+    this.heads.hidden = !isMany;
     // Few cards fit on a screen, and the first alarm must be on it. Many are found on the map first.
     if (isMany && this.map.element.nextSibling !== this.tools) this.tools.before(this.map.element);
     const found = structures.filter(({ name, description, sentence, level }) => this.search.finds(`${name} ${description} ${sentence} ${LEVELS[level].word}`));
@@ -187,6 +197,8 @@ function updateCard({ element, fields, sign, word, sentence, now, also, seen, st
   setText(sign, level.sign);
   setText(word, level.word);
   setSentence(sentence, structure.sentence);
+  // A row of many has one line.
+  setAttribute(sentence, "title", sentence.textContent);
   showNow(now, structure);
   showAlso(also, structure);
   showAcknowledged(seen, structure);

@@ -4,13 +4,13 @@ import { h } from "./dom.js";
 import { SEARCH_ABOVE } from "./words.js";
 
 /**
- * Creates a search field for `count` names.
+ * Creates a search field for `count` names, with the text of the address if there is one.
  *
  * `element` is null if there are few names. `finds(name)` returns whether a name contains all of
  * the entered words.
  */
-export function searchField(count, label, changed) {
-  const input = count > SEARCH_ABOVE ? h("input", { type: "search", class: "search", "aria-label": label, placeholder: label, oninput: () => changed() }) : null;
+export function searchField(count, label, changed, text = "") {
+  const input = count > SEARCH_ABOVE ? h("input", { type: "search", class: "search", "aria-label": label, placeholder: label, value: text, oninput: () => changed() }) : null;
   const words = () => (input?.value ?? "").toLowerCase().split(/\s+/).filter(Boolean);
-  return { element: input, finds: (name) => words().every((word) => name.toLowerCase().includes(word)) };
+  return { element: input, text: () => input?.value ?? "", finds: (name) => words().every((word) => name.toLowerCase().includes(word)) };
 }

@@ -17,7 +17,7 @@ const DOT = 2;
 export class Sparklines {
   constructor() {
     this.lines = new Map();
-    // A hidden canvas is never in the window, but the head of its card is.
+    // A hidden canvas is never in the window, but its card is.
     this.seen = new IntersectionObserver((entries) => entries.forEach(({ target, isIntersecting }) => (this.lines.get(target).isSeen = isIntersecting)));
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => this.lines.forEach(({ redraw }) => redraw?.());
@@ -31,13 +31,14 @@ export class Sparklines {
 
   /** Prepares the line of a structure on a card. */
   watch(canvas, structure) {
-    this.lines.set(canvas.parentElement, { structure, parameter: null, at: -Infinity, isSeen: false });
-    this.seen.observe(canvas.parentElement);
+    const card = canvas.closest("li");
+    this.lines.set(card, { structure, parameter: null, at: -Infinity, isSeen: false });
+    this.seen.observe(card);
   }
 
   /** Shows the line of the worst part, and fetches it if it is old. */
   show(canvas, { worst, time_s }) {
-    const line = this.lines.get(canvas.parentElement);
+    const line = this.lines.get(canvas.closest("li"));
     const isOld = performance.now() - line.at > REFRESH_MS || line.parameter !== worst?.parameter;
     if (!worst || time_s === null || !line.isSeen || !isOld || document.hidden) return;
     Object.assign(line, { parameter: worst.parameter, at: performance.now() });
