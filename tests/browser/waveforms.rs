@@ -2,6 +2,7 @@
 
 use super::browser;
 use super::layout::demo;
+use super::workspace::tall_building;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn waveforms_and_spectra_of_the_sensors_are_shown() {
@@ -189,4 +190,113 @@ async fn spectra_over_time_are_collected_once() {
     let many = "Array.from({ length: 500 }, (_, index) => index)";
     let found = browser.evaluate(&times(many)).await;
     assert_eq!(found, serde_json::json!([320, 499, 180]));
+}
+
+/// Regression test: 41 channels took a page of 22,648 px.
+#[tokio::test(flavor = "multi_thread")]
+async fn forty_sensors_have_small_waveforms_with_details_of_one() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("tall.toml");
+    std::fs::write(&file, tall_building()).unwrap();
+    let demo = demo(&["--structure", file.to_str().unwrap(), "--duration", "60"]);
+    browser.resize(1280, 900).await;
+    browser
+        .open(&format!("{}#/structure/tall/sensors", demo.page))
+        .await;
+    browser
+        .wait(
+            "drawn waveforms with their scale and figures",
+            "/^Common scale: −.+ m\\/s²\\. From left to \
+             right/.test(document.getElementById('waveform-scale')?.textContent) && \
+             document.querySelectorAll('.small-sensor').length === 41 && \
+             [...document.querySelectorAll('.small-sensor .figures')].every((one) => /^25 Hz · RMS \
+             .+ · Peak .+ m\\/s²/.test(one.textContent))",
+        )
+        .await;
+    let height = "document.documentElement.scrollHeight";
+    let height = browser.evaluate(height).await.as_u64().unwrap();
+    assert!(height < 3_500, "{height} px");
+    browser.screenshot("forty-sensors").await;
+    browser
+        .evaluate("document.querySelector('[data-channel=acceleration-7].small-sensor').click()")
+        .await;
+    assert_eq!(
+        browser.evaluate("location.hash").await,
+        "#/structure/tall/sensors?sensor=acceleration-7"
+    );
+    let large = "/ to .+ m\\/s²$/.test(document.querySelector('#plot-waveform-acceleration-7 \
+                 .readout')?.textContent)";
+    browser.wait("the large waveform", large).await;
+    browser
+        .wait(
+            "its spectrum",
+            "(document.querySelector('#plot-spectrum-acceleration-7')?.scrollIntoView(), \
+             document.querySelector('#plot-spectrum-acceleration-7 canvas'))",
+        )
+        .await;
+    browser.reload().await;
+    browser.wait("the same after a reload", large).await;
+    browser.screenshot("forty-sensors-detail").await;
+    browser.resize(390, 844).await;
+    let width = "document.documentElement.scrollWidth";
+    assert_eq!(browser.evaluate(width).await, 390);
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
+/// Regression test: the waveforms of an event were lost with a restart, and had ten points a second.
+#[tokio::test(flavor = "multi_thread")]
+async fn waveforms_of_an_event_are_those_of_the_recording() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.resize(1280, 900).await;
+    browser
+        .open(&format!("{}#/structure/demo/events", demo.page))
+        .await;
+    browser
+        .wait(
+            "the alarm and the end of the demo",
+            "document.querySelector('.events tr[data-level=alarm] .samples-of') && \
+             document.body.innerText.includes('record has ended')",
+        )
+        .await;
+    let link = "document.querySelector('.events tr[data-level=alarm] .samples-of a').hash";
+    let hash = browser.evaluate(link).await;
+    let hash = hash.as_str().unwrap();
+    assert!(hash.starts_with("#/structure/demo/sensors?from="), "{hash}");
+    browser.evaluate(&format!("location.hash = '{hash}'")).await;
+    // At 100 samples a second, two points are nearer than a tenth of a second.
+    let steps = "import('/waveforms.js').then(({ envelope }) => envelope([0, 1, 2, 3], [5, NaN, 7, \
+                 6], { from_s: 0, to_s: 4, count: 2 }))";
+    assert_eq!(
+        browser.evaluate(steps).await,
+        serde_json::json!([[0, 2], [5, 6], [5, 7]])
+    );
+    let asked = "performance.getEntriesByType('resource').filter(({ name }) => \
+                 name.includes('/samples?')).length";
+    let readout = "document.querySelector('#plot-waveform-floor-2 .readout')?.textContent ?? ''";
+    browser
+        .wait(
+            "the samples, read once for all sensors",
+            &format!("/ to .+ m\\/s²$/.test({readout}) && {asked} === 1"),
+        )
+        .await;
+    browser.screenshot("waveforms-of-an-event").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+    // A time without samples says so.
+    browser
+        .evaluate("location.hash = '#/structure/demo/sensors?from=1600000000&to=1600000020'")
+        .await;
+    browser
+        .wait(
+            "the reason",
+            "document.querySelector('#group-waveforms \
+             .told:not([hidden])')?.textContent.includes('the recording of ingest does not \
+             contain it')",
+        )
+        .await;
 }

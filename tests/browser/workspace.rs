@@ -17,7 +17,7 @@ async fn open(browser: &mut Browser, demo: &Program, hash: &str, what: &str, con
 }
 
 /// Returns a structure file of forty storeys with a parameter and a sensor each.
-fn tall_building() -> String {
+pub(super) fn tall_building() -> String {
     let mut text = String::from(
         "[structure]\nname = \"tall\"\ndescription = \"forty storeys\"\nsampling-rate-hz = 25\n\
          display-rate-hz = 10\n[model]\nkind = \"shear-building\"\nstoreys = 40\nmass-kg = 20_000\n\

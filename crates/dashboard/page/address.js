@@ -18,6 +18,12 @@ export function sensorsOf(structure) {
   return address(structure, "sensors", new URLSearchParams());
 }
 
+/** Returns the address of the waveforms of a structure over a range, with the details of a sensor. */
+export function waveformsOf(structure, from_s, to_s, sensor = null) {
+  const range = { from: from_s.toFixed(DECIMALS), to: to_s.toFixed(DECIMALS) };
+  return address(structure, "sensors", new URLSearchParams(sensor ? { ...range, sensor } : range));
+}
+
 /** Returns the address of the year of a judged quantity. */
 export function judged(structure, quantity) {
   return address(structure, "lasting", new URLSearchParams({ quantity }));

@@ -6,7 +6,8 @@ import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.j
 import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
 import { DAY_S, Span } from "./span.js";
-import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, natural, place, revisedWords, seenWords, setSentence, time } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, natural, place, revisedWords, seenWords, setSentence, time, waveformsOf } from "./words.js";
+import { longestRange } from "./waveforms.js";
 
 /** Kinds of events that the list can be limited to. */
 const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
@@ -172,9 +173,17 @@ export class EventsTab {
     const at = (measured ?? time_ns) / 1e9;
     const [why, more] = [h("p", { class: "why", lang: SERVICES }), h("p", { class: "why" })];
     const read = made ? h("a", { class: "button small", href: report(this.page.name, made) }, t("report")) : null;
-    const show = h("a", { class: "button small", href: place(this.page.name, parameter ?? this.page.about.parameters[0]?.name, at), "aria-label": t("show-at", about, time(at)) }, t("show"));
-    const around = () => [at - AROUND_S, at + AROUND_S];
-    const samples = h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(this.page.name, around, `${about}, ${time(at)}`));
+    const { about: structure, name: of } = this.page;
+    const sensors = structure.distributed ? [] : (structure.drawing?.sensors ?? []);
+    // Of many sensors, the server reads the samples of a shorter time at once.
+    const half_s = sensors.length > 0 ? Math.min(AROUND_S, 0.499 * longestRange(structure)) : AROUND_S;
+    const around = () => [at - half_s, at + half_s];
+    const waveforms = sensors.length > 0 ? waveformsOf(of, ...around(), sensors.some(({ channel }) => channel === about) ? about : null) : null;
+    // An alert is about a parameter, other events are about the motion.
+    const target = parameter || !waveforms ? place(of, parameter ?? structure.parameters[0]?.name, at) : waveforms;
+    const show = h("a", { class: "button small", href: target, "aria-label": t("show-at", about, time(at)) }, t("show"));
+    const motion = parameter && waveforms ? h("a", { class: "to-waveforms", href: waveforms, "aria-label": t("waveforms-at", about, time(at)) }, t("waveforms")) : null;
+    const samples = h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(of, around, `${about}, ${time(at)}`), motion);
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, parameter ? what : capitalised(what));
     return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(time_ns / 1e9))), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why, more };

@@ -6,14 +6,16 @@ import { t } from "./language.js";
 import { NodeTable } from "./nodes.js";
 import { conditionPlot, nodePlot, outlierPlot, waveformPlot } from "./plots.js";
 import { searchField } from "./search.js";
+import { SensorSmalls } from "./sensorsmalls.js";
 import { Sorting } from "./sorting.js";
 import { Scale } from "./span.js";
 import { Spectra, spectrumPlot } from "./spectra.js";
 import { spectrogramPlot } from "./spectrogram.js";
+import { Recording, WaveformPoints } from "./waveforms.js";
 import { COLUMNS, HEALTH, HINTS, clockWords, compared, conditionWords, levelWords, number, percent, time, unit, wordOf } from "./words.js";
 
-/** Number of sensors above which the plots of outliers are folded away. */
-const FOLDED_ABOVE = 6;
+/** Number of sensors that each have full plots. With more, the tables and the plots of outliers are folded away. */
+const MOST_FULL = 6;
 
 /** States of a sensor without samples, whose clock says nothing. */
 const UNHEARD = ["gone", "silent", "ended", "unknown"];
@@ -25,6 +27,8 @@ export class SensorsTab {
   key = "sensors";
   hasSpan = true;
   hasWaveforms = true;
+  /** Name of the sensor whose details are shown. */
+  chosen = null;
   /** Shared ranges of the waveforms, and of the spectra, of the sensors with one unit. */
   #scales = new Map();
 
@@ -45,13 +49,22 @@ export class SensorsTab {
     this.levels = h("tbody");
     this.own = h("input", { type: "checkbox", onchange: () => this.#rescale() });
     this.spectra = new Spectra(page.name);
-    this.spectra.band.onchange(() => this.groups.spectra.plots.forEach((plot) => plot.dirty()));
+    this.spectra.band.onchange(() => [...this.groups.spectra.plots, ...this.detail.values()].forEach((plot) => plot.dirty()));
+    this.recording = new Recording(page);
+    this.waveforms = new WaveformPoints(page.name, page.span, this.recording);
+    // The samples of sensors with their own filters stay at their nodes.
+    const isMany = this.sensors.size > MOST_FULL && !about.distributed;
+    this.smalls = isMany ? new SensorSmalls(page, this.sensors, this.recording, (channel) => this.#open(channel)) : null;
+    this.detail = new Map();
+    this.detailPlots = h("div", { class: "plots" });
+    this.details = h("div", { class: "detail sensor-detail", hidden: true }, this.detailPlots, h("button", { type: "button", class: "small", onclick: () => this.#open(this.chosen) }, t("close-details")));
+    this.why = h("p", { class: "told", role: "status", hidden: true });
     const channels = [...this.sensors.keys()];
     this.groups = {
-      waveforms: new PlotGroup("waveforms", t("waveforms"), t("the-samples-between-the-minimum-and-the"), channels),
+      waveforms: new PlotGroup("waveforms", t("waveforms"), t("the-samples-between-the-minimum-and-the") + (isMany ? ` ${t("select-a-sensor")}` : ""), channels),
       spectra: new PlotGroup("spectra", t("spectra"), t("power-spectral-density-of-about-the-last"), channels),
       nodes: new PlotGroup("nodes", t("distributed-nodes"), t("a-node-far-beyond-the-red-dashed")),
-      outliers: new PlotGroup("outliers", t("outliers"), "", [], this.sensors.size > FOLDED_ABOVE),
+      outliers: new PlotGroup("outliers", t("outliers"), "", [], this.sensors.size > MOST_FULL),
       conditions: new PlotGroup("conditions", t("conditions"), t("slow-quantities-that-instruments-measure-beside-the")),
     };
     this.groups.nodes.holder.before(this.nodes.element);
@@ -61,25 +74,37 @@ export class SensorsTab {
     const levelScroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("samples-of-the-last-minute") };
     const scale = h("label", { class: "check" }, this.own, t("each-plot-with-its-own-scale"));
     const levelText = t("rms-and-peak-are-differences-from-the");
-    this.groups.waveforms.holder.before(scale);
-    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), h("p", { class: "group-text" }, levelText), this.levelSorting.field, h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels)));
-    this.element = h(
-      "div",
-      {},
-      h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), this.search.element), h("p", { class: "group-text" }, rate), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))),
-      this.samples,
-      Object.values(this.groups).map(({ element }) => element),
-    );
+    if (isMany) {
+      this.groups.waveforms.holder.replaceWith(h("div", { class: "tools" }, scale, this.search.element), this.why, this.details, this.smalls.element);
+      this.groups.waveforms.element.hidden = false;
+    } else {
+      this.groups.waveforms.holder.before(scale, this.why);
+    }
+    const folded = (text, ...content) => (isMany ? h("details", { class: "routine" }, h("summary", {}, text), content) : content);
+    this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), folded(t("show-the-table"), h("p", { class: "group-text" }, levelText), this.levelSorting.field, h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels))));
+    const table = h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), isMany ? null : this.search.element), h("p", { class: "group-text" }, rate), folded(t("show-the-table"), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))));
+    this.element = h("div", {}, isMany ? this.groups.waveforms.element : null, table, this.samples, Object.values(this.groups).map(({ element }) => element).filter((element) => !isMany || element !== this.groups.waveforms.element));
   }
 
   get plots() {
-    return Object.values(this.groups).flatMap((group) => group.plots);
+    return [...this.detail.values(), ...Object.values(this.groups).flatMap((group) => group.plots)];
   }
 
   /** Names of all series of the tab, for the export. The spectra have a file each. */
   get names() {
     const { spectra, ...series } = this.groups;
-    return [...new Set(Object.values(series).flatMap(({ plots }) => plots.flatMap(({ plot }) => plot.names)))];
+    return [...new Set([...(this.smalls?.names ?? []), ...Object.values(series).flatMap(({ plots }) => plots.flatMap(({ plot }) => plot.names))])];
+  }
+
+  /** What only this tab states in the address. */
+  get query() {
+    return this.chosen ? { sensor: this.chosen } : {};
+  }
+
+  /** Shows the sensor in the address. */
+  goto(_, parameters) {
+    const channel = parameters.get("sensor");
+    this.#choose(this.smalls && this.sensors.has(channel) ? channel : null);
   }
 
   /** Creates plots for new series. */
@@ -87,7 +112,7 @@ export class SensorsTab {
     const { points, span } = this.page;
     for (const { channel, level } of sensors) {
       const sensor = this.sensors.get(channel);
-      if (level && sensor) this.groups.waveforms.add(channel, () => waveformPlot(sensor, points, span, this.#shared("waveform", sensor)));
+      if (level && sensor && !this.smalls) this.groups.waveforms.add(channel, () => waveformPlot(sensor, this.waveforms, span, this.#shared("waveform", sensor)));
     }
     for (const channel of Object.keys(outliers)) this.groups.outliers.add(channel, () => outlierPlot(channel, points, span));
     if (Object.keys(nodes).length === 0) return;
@@ -113,19 +138,32 @@ export class SensorsTab {
     keyed(this.rows, this.sorting.sorted(found, values), (sensor) => sensor.channel, make, (part, sensor) => this.#fill(part, sensor, outliers[sensor.channel], isReported));
     this.#hideEmptyColumns();
     this.#showLevels(found);
+    this.smalls?.update(found, isReported);
     const names = new Set(found.map(({ channel }) => channel));
     for (const group of [this.groups.waveforms, this.groups.spectra]) group.show(names);
     this.own.checked = !this.page.scale.isCommon;
   }
 
-  /** Fetches the spectra again, as after a lost connection. */
+  take(series) {
+    const changed = new Set(this.waveforms.take(series));
+    this.smalls?.take(series);
+    for (const plot of [...this.groups.waveforms.plots, ...this.detail.values()]) {
+      if (plot.plot.names.some((name) => changed.has(name))) plot.dirty();
+    }
+  }
+
+  /** Fetches the small waveforms and the spectra again, as after a lost connection or for another span. */
   restart() {
+    this.smalls?.restart();
     this.#fetchSpectra();
   }
 
   /** Fetches the newest spectra, and draws again what shares a scale that has changed. */
-  draw() {
+  draw(options) {
     this.#fetchSpectra();
+    this.smalls?.draw(options);
+    setText(this.why, this.recording.why);
+    this.why.hidden = !this.recording.why;
     for (const [name, scale] of this.#scales) {
       if (!scale.hasChanged) continue;
       scale.hasChanged = false;
@@ -139,13 +177,52 @@ export class SensorsTab {
     this.asked = asked;
     if (!(await asked)) return;
     const modes = () => (this.page.standing().modes ?? []).map(({ mode, estimate, declared_hz: declared }) => ({ name: mode, frequency: estimate?.frequency_hz ?? declared }));
+    this.modes = modes;
+    this.#fillDetail();
     for (const channel of this.spectra.channels) {
       const sensor = this.sensors.get(channel);
-      if (!sensor) continue;
+      if (!sensor || this.smalls) continue;
       this.groups.spectra.add(channel, () => spectrumPlot(sensor, this.spectra, this.#shared("spectrum", sensor), modes));
       this.groups.spectra.add(channel, () => spectrogramPlot(sensor, this.spectra.history, this.page.span, modes), "over time");
     }
-    this.groups.spectra.plots.forEach((plot) => plot.dirty());
+    for (const plot of [...this.groups.spectra.plots, ...this.detail.values()]) plot.dirty();
+  }
+
+  /** Opens the details of a sensor, or closes them. */
+  #open(channel) {
+    this.#choose(channel === this.chosen ? null : channel);
+    this.page.changed();
+    this.detail.get("waveform")?.element.scrollIntoView({ block: "center" });
+  }
+
+  #choose(channel) {
+    if (channel === this.chosen) return;
+    for (const plot of this.detail.values()) plot.close();
+    this.detail.clear();
+    this.detailPlots.replaceChildren();
+    this.chosen = channel;
+    this.details.hidden = channel === null;
+    this.smalls?.mark(channel);
+    this.#fillDetail();
+  }
+
+  /** Creates the large plots of the chosen sensor: its waveform, and the spectra as soon as they are there. */
+  #fillDetail() {
+    const sensor = this.sensors.get(this.chosen);
+    if (!sensor) return;
+    const add = (key, make) => {
+      if (this.detail.has(key)) return;
+      const plot = make();
+      // Elsewhere, the title of a group says what its plots show.
+      if (key === "spectrum") setText(plot.head.firstChild, t("spectrum-of", sensor.channel));
+      this.detail.set(key, plot);
+      this.detailPlots.append(plot.element);
+    };
+    const own = (range) => range;
+    add("waveform", () => waveformPlot(sensor, this.waveforms, this.page.span, own));
+    if (!this.modes || !this.spectra.columns(sensor.channel)) return;
+    add("spectrum", () => spectrumPlot(sensor, this.spectra, own, this.modes));
+    add("spectrogram", () => spectrogramPlot(sensor, this.spectra.history, this.page.span, this.modes));
   }
 
   /** Returns how a plot of a sensor shares its range with the sensors of the same unit. */

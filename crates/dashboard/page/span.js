@@ -106,9 +106,12 @@ export class Points {
   #series = new Map();
   #hasEstimates = false;
 
-  /** With `isThin`, at most `count` points are kept, also of live data, as for a small plot. */
-  constructor(structure, span, { count = POINTS, isThin = false } = {}) {
-    Object.assign(this, { structure, span, count, isThin });
+  /**
+   * With `isThin`, at most `count` points are kept, also of live data, as for a small plot. With
+   * `isEnvelope`, a kept point has the extremes of those left out. Otherwise it is the last one.
+   */
+  constructor(structure, span, { count = POINTS, isThin = false, isEnvelope = false } = {}) {
+    Object.assign(this, { structure, span, count, isThin, isEnvelope });
   }
 
   /** Returns the columns of a series, the time first, or nothing before they have arrived. */
@@ -154,8 +157,11 @@ export class Points {
       else this.#advance(name, newest);
       if (!entry?.columns || !this.span.isLive) continue;
       const last = entry.generation === generation ? (entry.columns[0].at(-1) ?? -Infinity) : -Infinity;
+      if (entry.generation !== generation) entry.pending = null;
+      if (this.isThin) entry.pending = this.isEnvelope ? extremes(joined(entry.pending ?? data.map(() => []), data)) : data.map((column) => column.slice(-1));
       if (this.isThin && newest - last < (shown.max - shown.min) / this.count) continue;
-      const more = this.isThin ? data.map((column) => column.slice(-1)) : data;
+      const more = this.isThin ? entry.pending : data;
+      entry.pending = null;
       entry.columns = entry.generation === generation ? joined(entry.columns, after(more, last)) : more;
       entry.generation = generation;
       this.#trim(name, entry);
@@ -219,6 +225,13 @@ function isSlow(name) {
 function after(columns, time) {
   const first = columns[0].findIndex((one) => one > time);
   return first < 0 ? columns.map(() => []) : columns.map((column) => column.slice(first));
+}
+
+/** Returns one row with the last time, the least value of the first column and the largest of the second. */
+function extremes([times, least, largest]) {
+  const known = (column) => column.filter((value) => value !== null);
+  const end = (column, of) => (known(column).length > 0 ? of(...known(column)) : null);
+  return [times.slice(-1), [end(least, Math.min)], [end(largest, Math.max)]];
 }
 
 /** Appends rows in place, because copying every column ten times a second takes much work. */

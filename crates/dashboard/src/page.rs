@@ -96,6 +96,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/samples.js", SCRIPT, "../page/samples.js"),
     asset!("/search.js", SCRIPT, "../page/search.js"),
     asset!("/sensors.js", SCRIPT, "../page/sensors.js"),
+    asset!("/sensorsmalls.js", SCRIPT, "../page/sensorsmalls.js"),
     asset!("/settings.js", SCRIPT, "../page/settings.js"),
     asset!("/shapes.js", SCRIPT, "../page/shapes.js"),
     asset!("/smalls.js", SCRIPT, "../page/smalls.js"),
@@ -104,6 +105,7 @@ pub(crate) const ASSETS: &[Asset] = &[
     asset!("/spectra.js", SCRIPT, "../page/spectra.js"),
     asset!("/tabs.js", SCRIPT, "../page/tabs.js"),
     asset!("/time.js", SCRIPT, "../page/time.js"),
+    asset!("/waveforms.js", SCRIPT, "../page/waveforms.js"),
     asset!("/year.js", SCRIPT, "../page/year.js"),
 ];
 
