@@ -15,8 +15,8 @@ const ROOM = { left: 44, right: 8, bottom: 30, top: 8 };
 const [ROW, CHARACTER] = [11, 5.2];
 /** Distance of the words of a threshold below its line. Above it are the estimates of sound parts. */
 const BOUND_BELOW = 10;
-/** Minimum gap, in usual steps, that a line does not cross. */
-const HOLE_STEPS = 8;
+/** Minimum gap, in usual steps, that a line does not cross. A busy service publishes every tenth value. */
+const HOLE_STEPS = 12;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
 const HALF_95 = 1.96;
 /** Share of the widest intervals, as at the start, that a scale leaves out. */

@@ -16,8 +16,8 @@ const SERIES_PER_REQUEST = 200;
 const MOST_PLOTS = 6;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
 const HALF_95 = 1.96;
-/** Minimum gap, in usual steps, that a line does not cross. */
-const HOLE_STEPS = 8;
+/** Minimum gap, in usual steps, that a line does not cross. A busy service publishes every tenth value. */
+const HOLE_STEPS = 12;
 const DAY_S = 86400;
 /** Ranges that a button selects: names and lengths (s) of two ranges, the second up to the newest data. */
 const USUAL = [
