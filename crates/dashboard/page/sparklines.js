@@ -11,6 +11,8 @@ const POINTS = 96;
 const REFRESH_MS = 300_000;
 /** Smallest span of values that fills the height, as a ratio to the design. */
 const LEAST_SPAN = 0.05;
+/** Width below which a line would be a vertical stroke, so that only its dot is drawn (px). */
+const LEAST_WIDTH = 4;
 /** Radius of the dot at the newest value (px). */
 const DOT = 2;
 
@@ -76,7 +78,7 @@ function draw(canvas, shares, values) {
   ctx.beginPath();
   const x = (index) => 1 + Math.min(shares[index], 1) * (width - 2 - DOT);
   const y = (index) => height - 1 - DOT - ((values[index] - low + room) / (high - low + 2 * room)) * (height - 2 - 2 * DOT);
-  shares.forEach((_, index) => ctx.lineTo(x(index), y(index)));
+  if (x(shares.length - 1) - x(0) >= LEAST_WIDTH) shares.forEach((_, index) => ctx.lineTo(x(index), y(index)));
   ctx.stroke();
   ctx.beginPath();
   ctx.arc(x(shares.length - 1), y(shares.length - 1), DOT, 0, 2 * Math.PI);
