@@ -76,6 +76,8 @@ export class ParametersTab {
   #open(name) {
     if (name === this.chosen) this.#close();
     else this.goto(name);
+    // The button that closes the details is gone with them.
+    if (this.chosen === null) this.smalls.focus(name);
     this.page.changed();
   }
 

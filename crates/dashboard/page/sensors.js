@@ -191,6 +191,8 @@ export class SensorsTab {
   /** Opens the details of a sensor, or closes them. */
   #open(channel) {
     this.#choose(channel === this.chosen ? null : channel);
+    // The button that closes the details is gone with them.
+    if (this.chosen === null) this.smalls.focus(channel);
     this.page.changed();
     this.detail.get("waveform")?.element.scrollIntoView({ block: "center" });
   }

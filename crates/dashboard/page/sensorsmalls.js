@@ -13,6 +13,8 @@ const POINTS = 200;
 const SERIES_PER_REQUEST = 200;
 /** Shortest and longest interval between two drawings (ms). */
 const [DRAW_EVERY_MS, DRAW_AT_LEAST_EVERY_MS] = [1000, 10_000];
+/** Minimum gap, in usual steps, that a waveform does not cross. */
+const HOLE_STEPS = 12;
 /** Margin of the scale above and below the data, as a share. */
 const ROOM = 0.05;
 
@@ -44,6 +46,10 @@ export class SensorSmalls {
   /** Marks the sensor whose details are shown. */
   mark(channel) {
     for (const [name, { element }] of this.#parts) element.setAttribute("aria-pressed", String(name === channel));
+  }
+
+  focus(channel) {
+    this.#parts.get(channel)?.element.focus();
   }
 
   /** Shows the sensors in their order. `isReported` states whether ingest reports on clocks at all. */
@@ -153,12 +159,11 @@ function paint({ canvas, columns }, range, { min, max }, colours) {
   };
   if (range[0] < 0 && range[1] > 0) line([[0, y(0)], [width, y(0)]], colours["--grid"], 1);
   const rows = columns[0].map((_, row) => row).filter((row) => columns[1][row] !== null && columns[0][row] >= min && columns[0][row] <= max);
-  // A longer time than usual between two points is a gap.
   const steps = rows.slice(1).map((row, index) => columns[0][row] - columns[0][rows[index]]);
   const usual = steps.toSorted((a, b) => a - b)[steps.length >> 1] ?? 0;
   let from = 0;
   for (let to = 1; to <= rows.length; to += 1) {
-    if (to < rows.length && steps[to - 1] <= 8 * usual) continue;
+    if (to < rows.length && steps[to - 1] <= HOLE_STEPS * usual) continue;
     const piece = rows.slice(from, to);
     const [upper, lower] = [2, 1].map((column) => piece.map((row) => [x(columns[0][row]), y(columns[column][row])]));
     ctx.fillStyle = colours["--line-1"];

@@ -78,6 +78,10 @@ export class SmallPlots {
     for (const { parameter, element } of this.#parts) element.setAttribute("aria-pressed", String(parameter.name === name));
   }
 
+  focus(name) {
+    this.#parts.find(({ parameter }) => parameter.name === name)?.element.focus();
+  }
+
   update(standing) {
     for (const { parameter, element, value, state } of this.#parts) {
       const shown = standing.parameters[parameter.name];
