@@ -12,8 +12,8 @@ import { longestRange } from "./waveforms.js";
 /** Kinds of events that the list can be limited to. */
 const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
 
-/** Number of events that are shown at first, and with each press of the button below. */
-const STEP = 200;
+/** Number of events that are shown at first, and with each press of the button below. A phone shows few rows. */
+const STEP = matchMedia("(max-width: 760px)").matches ? 50 : 200;
 /** Shortest interval between two requests for the newest events (ms). */
 const FETCH_EVERY_MS = 10_000;
 
@@ -90,10 +90,10 @@ export class EventsTab {
     this.span.fix(isLive ? to_s - Math.max(this.span.newest_s - to_s, DAY_S) : from_s, to_s);
   }
 
-  /** Returns the newest changes and events, with those of the log, as far as they are in the span. */
+  /** Returns the newest changes, the newest first, and the newest events, with those of the log, as far as they are in the span. */
   #known({ events, changes }) {
     const { isLive, from_s, to_s } = this.span;
-    const all = [merged(changes, this.#log?.changes ?? [], keyOfChange), merged(events, this.#log?.events ?? [], keyOfEvent)];
+    const all = [merged(changes, this.#log?.changes ?? [], keyOfChange).sort((a, b) => b.changed_ns - a.changed_ns), merged(events, this.#log?.events ?? [], keyOfEvent)];
     if (isLive) return all;
     const isWithin = (at_ns) => at_ns / 1e9 >= from_s && at_ns / 1e9 <= to_s;
     return [all[0].filter(({ changed_ns: at }) => isWithin(at)), all[1].filter(({ time_ns: at }) => isWithin(at))];
@@ -111,10 +111,17 @@ export class EventsTab {
     const [changes, events] = this.#known(standing);
     this.span.newest_s = Math.max(...changes.map(({ changed_ns: at }) => at / 1e9), ...events.map(({ time_ns: at }) => at / 1e9), this.span.newest_s ?? -Infinity);
     if (this.span.newest_s === -Infinity) this.span.newest_s = null;
+    // The first decision of a part is no way back.
+    const returned = new Set();
+    const last = new Map();
+    for (const change of changes.toReversed()) {
+      if (![undefined, "learning"].includes(last.get(change.parameter))) returned.add(change);
+      last.set(change.parameter, change.state);
+    }
     const ofAlert = ([change, ...others]) => {
       const { sign, word, level } = STATES[change.state];
       const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
-      const what = change.state === "normal" ? t("back-to-normal", sign) : t("alert-became", sign, word);
+      const what = change.state !== "normal" ? t("alert-became", sign, word) : returned.has(change) ? t("back-to-normal", sign) : `${sign} ${word}`;
       const more = [seenWords(change), revisedWords(change)].filter(Boolean).join(". ");
       return { key: `${about}/${change.state}`, time_ns: 1e9 * changedAt(change), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
@@ -183,7 +190,8 @@ export class EventsTab {
     const target = parameter || !waveforms ? place(of, parameter ?? structure.parameters[0]?.name, at) : waveforms;
     const show = h("a", { class: "button small", href: target, "aria-label": t("show-at", about, time(at)) }, t("show"));
     const motion = parameter && waveforms ? h("a", { class: "to-waveforms", href: waveforms, "aria-label": t("waveforms-at", about, time(at)) }, t("waveforms")) : null;
-    const samples = h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(of, around, `${about}, ${time(at)}`), motion);
+    // The samples of sensors with their own filters stay at their nodes.
+    const samples = structure.distributed ? null : h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(of, around, `${about}, ${time(at)}`), motion);
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, parameter ? what : capitalised(what));
     return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(time_ns / 1e9))), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why, more };

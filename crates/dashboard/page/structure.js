@@ -128,7 +128,7 @@ export class StructurePage {
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), t("views-of", this.name), (key) => this.#open(key));
     this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), {
       report: () => reportOf([this.name], this.span.isLive ? { length_s: this.span.length_s } : this.span),
-      samples: samplesExport(this.name, () => [this.span.shown.min, this.span.shown.max], t("chosen-range")),
+      samples: this.about.distributed ? null : samplesExport(this.name, () => [this.span.shown.min, this.span.shown.max], t("chosen-range")),
     });
     this.body.replaceChildren(h("div", { class: "sticky" }, this.bar.list, this.ranges.element), ...this.bar.panels, this.dialog.element);
   }
