@@ -7,6 +7,9 @@ import { classPlot, consistencyPlot, innovationPlot, noisePlot } from "./plots.j
 import { Scale } from "./span.js";
 import { FITS, SERVICES, setSentence, wordOf } from "./words.js";
 
+/** Number of plots of a group above which they are folded away. */
+const MOST_FULL = 6;
+
 export class ModelTab {
   key = "model";
   hasSpan = true;
@@ -19,11 +22,12 @@ export class ModelTab {
     [this.verdict, this.reasons] = [h("span"), h("span", { lang: SERVICES })];
     this.fit = h("p", { class: "fit", hidden: true }, this.verdict, this.reasons);
     this.none = h("p", { class: "empty" }, t("no-data-yet"));
+    const { drawing, noise } = page.about;
     this.groups = {
       classes: new PlotGroup("classes", t("model-classes")),
       agreement: new PlotGroup("agreement", t("model-and-data")),
-      innovations: new PlotGroup("innovations", t("innovations"), t("observed-minus-predicted-value-minimum-and-maximum")),
-      noise: new PlotGroup("noise", t("noise-levels")),
+      innovations: new PlotGroup("innovations", t("innovations"), t("observed-minus-predicted-value-minimum-and-maximum"), [], drawing.sensors.length > MOST_FULL),
+      noise: new PlotGroup("noise", t("noise-levels"), "", [], noise.length > MOST_FULL),
     };
     this.element = h("div", {}, this.fit, this.none, Object.values(this.groups).map(({ element }) => element));
   }
