@@ -21,7 +21,7 @@ const GRID = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 const GRID_FROM = 110;
 /** Screens on which the map is folded at first. */
 const NARROW = "(max-width: 760px)";
-/** Levels whose structures always have a name, also above the signs of others. */
+/** Levels whose structures have a name also above the signs of others, but not above those of these levels. */
 const NAMED = ["alarm", "stale", "warning"];
 
 export class StructureMap {
@@ -119,6 +119,7 @@ function grid({ west, middle, squeeze, scale, height, x, y }, width) {
  */
 function placeNames(sites, width) {
   const signs = sites.map(({ x, y }) => ({ left: x - RADIUS, right: x + RADIUS, top: y - RADIUS, bottom: y + RADIUS }));
+  const urgent = signs.filter((_, index) => NAMED.includes(sites[index].structure.level));
   const names = [];
   return sites.map(({ x, y, structure }) => {
     const length = CHARACTER * structure.name.length;
@@ -126,7 +127,9 @@ function placeNames(sites, width) {
     const choices = [at(x + RADIUS + 4, y - NAME / 2), at(x - RADIUS - 4 - length, y - NAME / 2), at(x - length / 2, y - RADIUS - NAME - 2), at(x - length / 2, y + RADIUS + 2)];
     const isFree = (box, taken) => box.left >= 0 && box.right <= width && taken.every((other) => box.left >= other.right || box.right <= other.left || box.top >= other.bottom || box.bottom <= other.top);
     const free = choices.find((box) => isFree(box, [...signs, ...names]));
-    const box = free ?? (NAMED.includes(structure.level) ? choices.find((box) => isFree(box, names)) : null) ?? null;
+    const overOthers = () => (NAMED.includes(structure.level) ? choices.find((box) => isFree(box, [...urgent, ...names])) : null);
+    // An alarm always has a name.
+    const box = free ?? overOthers() ?? (structure.level === "alarm" ? choices.find((box) => isFree(box, names)) : null) ?? null;
     if (box) names.push(box);
     return box;
   });
