@@ -10,6 +10,8 @@ export const NAME_KEY = "spandrel-name";
 const ANSWER_WITHIN_MS = 6000;
 /** Interval at which the list is fetched (ms). A raised alert fetches it immediately. */
 const ASK_EVERY_MS = 2000;
+/** Largest number of past changes that are shown. */
+const MOST_CHANGES = 200;
 /** A telephone number in a contact, with at least seven digits. */
 const TELEPHONE = /\+?\d(?:[ ()/-]*\d){6,}/;
 
@@ -24,6 +26,7 @@ export class AlertsPage {
     this.changes = new AlertList("alerts past", false, this.dialog);
     this.none = h("p", { class: "empty" }, t("loading"));
     this.noChanges = h("p", { class: "empty" });
+    this.left = h("p", { class: "group-text", hidden: true });
     this.element = h(
       "div",
       { class: "alerts-page" },
@@ -35,6 +38,7 @@ export class AlertsPage {
       h("h2", {}, t("past-changes")),
       this.noChanges,
       this.changes.elements,
+      this.left,
       this.dialog.element,
     );
     this.wanted = parameters.get("structure") ?? "";
@@ -80,7 +84,10 @@ export class AlertsPage {
       (!this.state.value || alert.state === this.state.value) &&
       (!this.text.value || `${alert.parameter} ${alert.why} ${alert.acknowledged_by ?? ""} ${alert.note ?? ""}`.toLowerCase().includes(this.text.value.toLowerCase()));
     const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.changed_ns - a.changed_ns || natural(a.parameter, b.parameter));
-    const changes = this.answer.changes.filter(isAsked).slice(0, 200);
+    const all = this.answer.changes.filter(isAsked);
+    const changes = all.slice(0, MOST_CHANGES);
+    this.left.hidden = all.length <= MOST_CHANGES;
+    setText(this.left, t("older-changes-not-shown", all.length - changes.length));
     const isFiltered = Boolean(this.structure.value || this.state.value || this.text.value);
     const hasAlert = this.standing.show(standing, (alert) => `${alert.structure}/${alert.parameter}`, isFiltered);
     const hasChange = this.changes.show(changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.changed_ns}/${alert.state}`, isFiltered);

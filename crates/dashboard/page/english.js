@@ -355,6 +355,7 @@ export const english = {
   "of-stiffness": "{0} of stiffness",
   "of-the": "{0} of the {1}",
   "old": "{0} old",
+  "older-changes-not-shown": "{0} older changes are not shown. The tab Events of a structure shows those of any period.",
   "older-events": "Older events",
   "one-alert": "alert",
   "only-natural-frequencies": "natural frequencies",

@@ -355,6 +355,7 @@ export const german = {
   "of-stiffness": "{0} der Steifigkeit",
   "of-the": "{0} der {1}",
   "old": "{0} alt",
+  "older-changes-not-shown": "{0} ältere Änderungen sind nicht gezeigt. Der Reiter Ereignisse eines Bauwerks zeigt die eines beliebigen Zeitraums.",
   "older-events": "Ältere Ereignisse",
   "one-alert": "Warnung",
   "only-natural-frequencies": "Eigenfrequenzen",
