@@ -13,6 +13,8 @@ export class Tabs {
     this.choose = choose;
     this.list = h("div", { class: "tabs", role: "tablist", "aria-label": label }, this.tabs.map(({ button }) => button));
     this.panels = this.tabs.map(({ panel }) => panel);
+    // A turned phone has another width.
+    new ResizeObserver(() => this.#scroll()).observe(this.list);
   }
 
   /** Shows the panel of a tab. */
@@ -21,9 +23,14 @@ export class Tabs {
       button.setAttribute("aria-selected", String(own === key));
       button.tabIndex = own === key ? 0 : -1;
       panel.hidden = own !== key;
-      // On a phone, the tabs are wider than the window.
-      if (own === key) this.list.scrollLeft = button.offsetLeft - this.list.offsetLeft - (this.list.clientWidth - button.clientWidth) / 2;
     }
+    this.#scroll();
+  }
+
+  /** Scrolls to the chosen tab. On a phone, the tabs are wider than the window. */
+  #scroll() {
+    const button = this.tabs.find(({ button }) => button.tabIndex === 0)?.button;
+    if (button) this.list.scrollLeft = button.offsetLeft - this.list.offsetLeft - (this.list.clientWidth - button.clientWidth) / 2;
   }
 
   #key(event, index) {
