@@ -438,6 +438,7 @@ export const english = {
   "samples-not-saved": "Not saved: {0}; {1}.",
   "samples-of-the-last-minute": "Samples of the last minute",
   "samples-per-second": "Samples per second",
+  "samples-stay-at-the-nodes": "The samples stay at the nodes, which have their own filters. So there are no waveforms, spectra and files of samples here.",
   "sampling-instant": "Sampling instant",
   "sampling-rate": "Sampling rate",
   "save-the-note": "Save the note",

@@ -31,6 +31,9 @@ export class EventsTab {
   #asked = null;
   #askedAt = -Infinity;
   #most = STEP;
+  /** What the list shows. */
+  #told = null;
+  #toldLog = null;
 
   constructor(page) {
     this.page = page;
@@ -108,6 +111,11 @@ export class EventsTab {
 
   update(standing) {
     this.#catchUp(standing);
+    // A message comes twice a second, but an event is rare.
+    const { isLive, from_s, to_s } = this.span;
+    const told = JSON.stringify([standing.changes.map((change) => [keyOfChange(change), change.time_ns, change.acknowledged_ns, change.note, change.why]), standing.events.map(keyOfEvent), this.shown.value, this.#most, isLive || [from_s, to_s]]);
+    if (told === this.#told && this.#log === this.#toldLog) return;
+    [this.#told, this.#toldLog] = [told, this.#log];
     const [changes, events] = this.#known(standing);
     this.span.newest_s = Math.max(...changes.map(({ changed_ns: at }) => at / 1e9), ...events.map(({ time_ns: at }) => at / 1e9), this.span.newest_s ?? -Infinity);
     if (this.span.newest_s === -Infinity) this.span.newest_s = null;
@@ -194,7 +202,7 @@ export class EventsTab {
     const samples = structure.distributed ? null : h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(of, around, `${about}, ${time(at)}`), motion);
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, parameter ? what : capitalised(what));
-    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(time_ns / 1e9))), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "buttons" }, read, show), samples)), why, more };
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(time_ns / 1e9))), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "row-actions" }, h("div", { class: "buttons" }, read, show), samples))), why, more };
   }
 }
 

@@ -438,6 +438,7 @@ export const german = {
   "samples-not-saved": "Nicht gespeichert: {0}; {1}.",
   "samples-of-the-last-minute": "Messwerte der letzten Minute",
   "samples-per-second": "Messwerte je Sekunde",
+  "samples-stay-at-the-nodes": "Die Messwerte bleiben bei den Knoten, die eigene Filter haben. Daher gibt es hier keine Zeitverläufe, Spektren und Dateien mit Messwerten.",
   "sampling-instant": "Abtastzeitpunkt",
   "sampling-rate": "Abtastrate",
   "save-the-note": "Bemerkung speichern",

@@ -82,7 +82,7 @@ export class SensorsTab {
     }
     const folded = (text, ...content) => (isMany ? h("details", { class: "routine" }, h("summary", {}, text), content) : content);
     this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), folded(t("show-the-table"), h("p", { class: "group-text" }, levelText), this.levelSorting.field, h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels))));
-    const table = h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), isMany ? null : this.search.element), h("p", { class: "group-text" }, rate), folded(t("show-the-table"), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))));
+    const table = h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), isMany ? null : this.search.element), h("p", { class: "group-text" }, rate, about.distributed ? ` ${t("samples-stay-at-the-nodes")}` : ""), folded(t("show-the-table"), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))));
     this.element = h("div", {}, isMany ? this.groups.waveforms.element : null, table, this.samples, Object.values(this.groups).map(({ element }) => element).filter((element) => !isMany || element !== this.groups.waveforms.element));
   }
 

@@ -13,6 +13,8 @@ const POINTS = 200;
 const SERIES_PER_REQUEST = 200;
 /** Shortest and longest interval between two drawings (ms). */
 const [DRAW_EVERY_MS, DRAW_AT_LEAST_EVERY_MS] = [1000, 10_000];
+/** Shortest interval between two updates of the figures (ms). A message comes twice a second. */
+const UPDATE_EVERY_MS = 900;
 /** Minimum gap, in usual steps, that a waveform does not cross. */
 const HOLE_STEPS = 12;
 /** Margin of the scale above and below the data, as a share. */
@@ -22,6 +24,8 @@ export class SensorSmalls {
   #parts = new Map();
   #isFetched = false;
   #drawnAt = -Infinity;
+  #updatedAt = -Infinity;
+  #shown = null;
 
   /** `choose(channel)` opens the details of a sensor. */
   constructor(page, sensors, recording, choose) {
@@ -54,6 +58,10 @@ export class SensorSmalls {
 
   /** Shows the sensors in their order. `isReported` states whether ingest reports on clocks at all. */
   update(sensors, isReported) {
+    // At most once a second, unless a sensor has another state or the search finds others.
+    const shown = sensors.map(({ channel, health }) => `${channel} ${health}`).join();
+    if (shown === this.#shown && performance.now() - this.#updatedAt < UPDATE_EVERY_MS) return;
+    [this.#shown, this.#updatedAt] = [shown, performance.now()];
     this.none.hidden = sensors.length > 0;
     keyed(this.grid, sensors, ({ channel }) => channel, (sensor) => this.#make(sensor), (part, sensor) => this.#fill(part, sensor, isReported));
   }

@@ -33,6 +33,8 @@ const LABELLED_FROM = 70;
 const HALF_95 = 1.96;
 /** Share of the widest intervals, as at the start, that the scale leaves out. */
 const LEFT_OUT = 0.05;
+/** Shortest interval between two updates of the numbers (ms). A message comes twice a second. */
+const UPDATE_EVERY_MS = 900;
 /** Smallest margin of the scale above and below the data, as a ratio to the design. */
 const LEAST_ROOM = 0.005;
 
@@ -42,6 +44,9 @@ export class SmallPlots {
   #parts;
   #isFetched = false;
   #drawnAt = -Infinity;
+  #updatedAt = -Infinity;
+  /** The words of the alerts that were shown last. */
+  #levels = null;
 
   constructor(page, choose) {
     this.page = page;
@@ -82,10 +87,15 @@ export class SmallPlots {
     this.#parts.find(({ parameter }) => parameter.name === name)?.element.focus();
   }
 
+  /** Shows the newest values, at most once a second unless an alert changes. */
   update(standing) {
+    const alerts = new Map(standing.alerts.map((alert) => [alert.parameter, alert]));
+    const levels = standing.alerts.map((alert) => stateOf(alert).word).join();
+    if (levels === this.#levels && performance.now() - this.#updatedAt < UPDATE_EVERY_MS) return;
+    [this.#levels, this.#updatedAt] = [levels, performance.now()];
     for (const { parameter, element, value, state } of this.#parts) {
       const shown = standing.parameters[parameter.name];
-      const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
+      const alert = alerts.get(parameter.name);
       const of = alert ? stateOf(alert) : { level: "learning", sign: "", word: t("no-decision") };
       element.dataset.level = of.level;
       setText(state, of.sign);
