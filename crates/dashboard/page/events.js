@@ -93,7 +93,7 @@ export class EventsTab {
     this.span.fix(isLive ? to_s - Math.max(this.span.newest_s - to_s, DAY_S) : from_s, to_s);
   }
 
-  /** Returns the newest changes, the newest first, and the newest events, with those of the log, as far as they are in the span. */
+  /** Returns the changes, the newest first, and the events of the span, with those of the log. */
   #known({ events, changes }) {
     const { isLive, from_s, to_s } = this.span;
     const all = [merged(changes, this.#log?.changes ?? [], keyOfChange).sort((a, b) => b.changed_ns - a.changed_ns), merged(events, this.#log?.events ?? [], keyOfEvent)];

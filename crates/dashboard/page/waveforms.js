@@ -12,6 +12,9 @@ const FINE_S = 120;
 /** Time for which a range must stay before it is read, because zooming passes many (ms). */
 const SETTLE_MS = 400;
 
+/** Number of attempts to read a range while the server is busy, and pause between two (ms). */
+const [MOST_ATTEMPTS, RETRY_MS] = [3, 2000];
+
 /** Returns the longest range whose samples the server reads at once (s). */
 export function longestRange({ drawing: { sensors }, sampling_rate_hz: rate }) {
   return MOST_SAMPLES / (Math.max(sensors.length, 1) * rate);
@@ -47,11 +50,20 @@ export class Recording {
     await new Promise((done) => setTimeout(done, SETTLE_MS));
     if (known !== this.#known) return { why: "" };
     const query = new URLSearchParams({ from: from_s.toFixed(6), to: to_s.toFixed(6), format: "csv" });
-    const response = await fetch(`/api/structures/${encodeURIComponent(this.name)}/samples?${query}`);
+    const response = await this.#fetch(known, query);
     if (response.ok) return parsed(await response.text(), this.channels);
     if (response.status === 404) return { why: t("waveforms-not-recorded") };
     const { error, allowed } = await response.json();
     return { why: t("waveforms-not-read", error, allowed) };
+  }
+
+  /** Fetches the samples, again after a pause while the server writes those of somebody else. */
+  async #fetch(known, query) {
+    for (let attempt = 1; ; attempt += 1) {
+      const response = await fetch(`/api/structures/${encodeURIComponent(this.name)}/samples?${query}`);
+      if (response.status !== 503 || attempt === MOST_ATTEMPTS || known !== this.#known) return response;
+      await new Promise((done) => setTimeout(done, RETRY_MS));
+    }
   }
 }
 
