@@ -365,14 +365,29 @@ export class Plot {
       line(colour, [6, 4], [left, y], [right, y]);
       const isBelow = mark.isBelow ? y < bottom - 16 * size : y < bbox.top + 16 * size;
       const at = isBelow ? y + 15 * size : y - 5 * size;
+      const wide = ctx.measureText(mark.text).width + 12 * size;
+      // The label is at the left, unless it would cover the curve there and not at the right.
+      const isAtRight = mark.isBelow && this.#isCurveIn(u, left, left + wide, at) && !this.#isCurveIn(u, right - wide, right, at);
       // A label that would cover a more important one is left out.
-      if (texts.every(([, , other]) => Math.abs(other - at) >= WORD_ROW * size)) texts.push([mark.text, left + 6 * size, at, colour, mark.plate]);
+      if (texts.every(([, , other]) => Math.abs(other - at) >= WORD_ROW * size)) texts.push([mark.text, isAtRight ? right - wide + 6 * size : left + 6 * size, at, colour, mark.plate]);
     }
     // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);
     for (const { text, colour, row, from } of flags.filter(({ row }) => row >= 0)) texts.push([text, left + from * size, bbox.top - (row * WORD_ROW + 4) * size, css(colour)]);
     texts.forEach((text) => write(...text));
     ctx.restore();
+  }
+
+  /** Returns whether the first curve passes a label at a height, between two places (px of the canvas). */
+  #isCurveIn(u, from, to, at) {
+    const size = devicePixelRatio;
+    const [times, values] = u.data;
+    const [first, last] = [from, to].map((x) => u.posToVal((x - u.bbox.left) / size, "x"));
+    return times.some((time, row) => {
+      if (time < first || time > last || values[row] == null) return false;
+      const y = u.valToPos(values[row], "y", true);
+      return y > at - WORD_ROW * size && y < at + 4 * size;
+    });
   }
 
   /** Saves the visible plot to a file, with its title and background. */
