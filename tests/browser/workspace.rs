@@ -376,7 +376,7 @@ async fn five_hundred_structures_are_on_a_map_and_in_a_list_that_can_be_searched
         Math.max(alarm.offsetHeight, other.offsetHeight) <= LARGEST];
       })()";
     let shown = |facts: &[&str]| {
-        let all = [&["H2", "trend", "sentence"], facts].concat();
+        let all = [&["H2", "trend", "sentence"][..], facts].concat();
         json!([all, 0, true])
     };
     assert_eq!(
