@@ -206,7 +206,7 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
     assert_eq!(browser.evaluate(&cut).await, 0, "names are cut off");
     browser.screenshot("forty-parameters").await;
     // Regression test: where plots of the usual size did not fit, few columns made a long page.
-    browser.resize(1270, 760).await;
+    browser.resize(1280, 760).await;
     browser
         .wait(
             "smaller plots that fit a lower window",

@@ -18,7 +18,7 @@ const [DRAW_EVERY_MS, DRAW_AT_LEAST_EVERY_MS] = [1000, 10_000];
  * Sizes of the small plots (px): smallest width and height of one, height of the name above its curve, and
  * gap between two. The dense ones are for so many that the usual ones do not fit the window.
  */
-const USUAL = { narrowest: 128, lowest: 86, head: 26, gap: 7, isDense: false };
+const USUAL = { narrowest: 128, lowest: 72, head: 26, gap: 7, isDense: false };
 const DENSE = { narrowest: 92, lowest: 40, head: 21, gap: 4, isDense: true };
 /** Largest height of a small plot, and height of a dense one where not all fit the window (px). */
 const HIGHEST = 230;
@@ -27,6 +27,8 @@ const UNFIT = 60;
 const LEAST_HEIGHT = 320;
 /** Room below the small plots for their scale (px). */
 const BELOW = 50;
+/** Change of the height of the window for which the plots keep their places (px). */
+const BARS = 120;
 /** Height from which a plot shows the ends of its scale (px). */
 const LABELLED_FROM = 70;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
@@ -45,6 +47,8 @@ export class SmallPlots {
   #isFetched = false;
   #drawnAt = -Infinity;
   #updatedAt = -Infinity;
+  /** Height of the window for which the plots are arranged (px). */
+  #window = 0;
   /** The words of the alerts that were shown last. */
   #levels = null;
 
@@ -120,6 +124,8 @@ export class SmallPlots {
 
   /** Draws the plots in the window if it is time, or all plots for a print. */
   draw({ isPrint = false } = {}) {
+    // The bars of a phone's browser come and go while people scroll.
+    if (!isPrint && Math.abs(innerHeight - this.#window) > BARS) this.#arrange();
     const { min, max } = this.page.span.shown;
     const interval = Math.min(Math.max((500 * (max - min)) / POINTS, DRAW_EVERY_MS), DRAW_AT_LEAST_EVERY_MS);
     if (!isPrint && (!this.#isFetched || performance.now() - this.#drawnAt < interval)) return;
@@ -206,6 +212,7 @@ export class SmallPlots {
     const width = this.grid.clientWidth;
     const count = this.#shown.length;
     if (width === 0 || count === 0) return;
+    this.#window = innerHeight;
     // The details of a parameter are above the plots and may push them out of the window, but must not
     // arrange them anew.
     const above = this.above && !this.above.hidden ? this.above.offsetHeight : 0;
