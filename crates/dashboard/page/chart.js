@@ -79,6 +79,8 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
     const end = width - ROOM.right;
     return isCrossed(ROOM.left, ROOM.left + wide) && !isCrossed(end - wide, end) ? { x: end - 3, "text-anchor": "end" } : { x: ROOM.left + 3 };
   };
+  /** Returns the height of these words: below the line, unless they would cross the axis. */
+  const boundHeight = () => (y(bound.y) + BOUND_BELOW > bottom - 2 ? y(bound.y) - 3 : y(bound.y) + BOUND_BELOW);
   const svg = s("svg", { class: "chart", viewBox: `0 0 ${width} ${HEIGHT}`, role: "img", "aria-label": label });
   for (const { value, text } of roundValues(range)) {
     svg.append(s("line", { class: "grid", x1: ROOM.left, x2: width - ROOM.right, y1: y(value), y2: y(value) }), s("text", { class: "value", x: ROOM.left - 4, y: y(value) + 3 }, text));
@@ -96,7 +98,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
     }
     if (hasPoints) rows.forEach((row) => svg.append(s("circle", { class: "dot", cx: x(times[row]), cy: y(means[row]), r: 1.6 })));
   }
-  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: width - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", ...boundPlace(), y: y(bound.y) + BOUND_BELOW }, bound.text));
+  if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: width - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", ...boundPlace(), y: boundHeight() }, bound.text));
   for (const { at, row, text, from, colour } of told) {
     const line = s("line", { class: "moment", x1: ROOM.left + at, x2: ROOM.left + at, y1: row < 0 ? top : top - (row + 1) * ROW + 2, y2: bottom });
     line.style.stroke = `var(${colour})`;
