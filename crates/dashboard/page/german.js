@@ -245,6 +245,7 @@ export const german = {
   "lower": "niedriger",
   "made-by-spandrel-on-the-states-are": "Erstellt von Spandrel am {0}. Die Zustände sind die dieses Zeitpunkts.",
   "many-alerts": "{0} Warnungen",
+  "many-channels": "{0} Kanäle",
   "many-parameters": "{0} Parameter",
   "many-structures": "{0} Bauwerke",
   "map": "Karte",

@@ -4,7 +4,7 @@ import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { COLUMNS, count, lag, natural, number, unit } from "./words.js";
 
-/** Maximum number of parameters with one prior that are named. */
+/** Maximum number of parameters with one prior, or of noise levels with one value, that are named. */
 const MOST_NAMED = 8;
 
 /** Returns what identifies the structure. */
@@ -13,9 +13,9 @@ function identification({ is_filtered: isFiltered, has_model: hasModel, distribu
   return distributed ? t("by-each-node-combined-by-a-station") : t("in-one-place");
 }
 
-/** Returns the names of few parameters, or the number of many. */
-function listed(parameters) {
-  return parameters.length > MOST_NAMED ? t("many-parameters", parameters.length) : parameters.map(({ name }) => name).join(", ");
+/** Returns the names of few parameters or noise levels or the number of many. */
+function listed(all, many) {
+  return all.length > MOST_NAMED ? many(all.length) : all.map(({ name }) => name).join(", ");
 }
 
 export class SettingsTab {
@@ -31,8 +31,9 @@ export class SettingsTab {
     const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`]));
     const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
     // Many parameters have few different priors.
-    const priors = grouped(about.parameters, ({ prior }) => prior.join()).map((equal) => `${equal[0].prior.map(number).join(" ± ")}: ${listed(equal)}`);
-    const noise = about.noise.map(({ name, std, unit: of }) => `${name} ${number(std)} ${unit(of)}`.trim());
+    const priors = grouped(about.parameters, ({ prior }) => prior.join()).map((equal) => `${equal[0].prior.map(number).join(" ± ")}: ${listed(equal, (size) => t("many-parameters", size))}`);
+    const levels = grouped(about.noise.toSorted((a, b) => natural(a.name, b.name)), ({ std, unit: of }) => `${std} ${of}`);
+    const noise = levels.map((equal) => `${listed(equal, (size) => t("many-channels", size))} ${number(equal[0].std)} ${unit(equal[0].unit)}`.trim());
     const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
     this.element = h(
       "div",
@@ -52,7 +53,7 @@ export class SettingsTab {
           fact(t("channels"), String(about.drawing.sensors.length)),
           about.is_filtered && fact(t("half-life"), `${number(about.half_life_s)} s`),
           about.is_filtered && fact(t("priors"), priors.join("; ") || t("none")),
-          about.is_filtered && fact(t("noise-levels"), noise.sort(natural).join(", ") || t("none")),
+          about.is_filtered && fact(t("noise-levels"), noise.join("; ") || t("none")),
           fact(t("whom-to-call"), about.contact || t("none")),
           fact(t("conditions"), about.conditions.map(range).join(", ") || t("none")),
         ),
