@@ -1,6 +1,6 @@
 //! The monitoring state of a structure whose samples are dropped, or whose sensors fall silent.
 
-use crate::support::{DEADLINE, Drops, Process, Site, storeys, within};
+use crate::support::{DEADLINE, Drops, Process, Record, Site, storeys, within};
 use spandrel_bus::{
     Delivery, Event, EventKind, FrameBlock, MonitoringDisplay, MonitoringState, Name, Pace,
     SampleBlock, Service, Start, Status, StreamSettings, Subscription,
@@ -46,6 +46,18 @@ fn live(site: &Site, arguments: &[&str]) -> Command {
     command
 }
 
+/// Returns the present time, s since 1970.
+fn now_s() -> f64 {
+    std::time::UNIX_EPOCH.elapsed().unwrap().as_secs_f64()
+}
+
+/// Simulates a minute that begins now. A fast replay of it runs ahead of the clock.
+fn ahead_of_the_clock(site: &Site) -> Record {
+    let mut record = site.simulate(60.0);
+    record.delay_from(0, now_s().floor()).save_as("ahead.csv");
+    record
+}
+
 // The deadline of the simulation, in the future, closed the frames of the live samples: most of
 // them were dropped, and the page showed a sound structure.
 #[tokio::test(flavor = "multi_thread")]
@@ -59,9 +71,9 @@ async fn live_samples_after_a_simulation_are_used() {
         .subscribe::<Status>(keys.statuses(Service::Ingest), 256)
         .await
         .unwrap();
-    let mut simulation = site.connecting("simulate");
-    simulation.args(["--duration", "60", "--speed", "10"]);
-    Process::start(&mut simulation).wait().expect_code(0);
+    site.replay(&ahead_of_the_clock(&site), "10")
+        .wait()
+        .expect_code(0);
     let ended = report(&reports, "the end of the simulation", |display| {
         display.words() == "blind: the samples have ended"
     })
@@ -96,10 +108,9 @@ async fn live_samples_after_a_simulation_ahead_of_the_clock_begin_a_new_run_with
         let _services = site.run();
         let (bus, keys) = (site.join().await, site.keys());
         let drops = Drops::watch(&bus, &keys).await;
-        let mut simulation = site.connecting("simulate");
-        simulation.args(["--duration", "60", "--speed", "10"]);
+        let record = ahead_of_the_clock(&site);
         let started = Instant::now();
-        let simulation = Process::start(&mut simulation);
+        let simulation = site.replay(&record, "10");
         drops.when_done(Service::Ingest, 5000).await;
         match is_killed {
             true => simulation.kill(),
@@ -141,6 +152,45 @@ async fn live_samples_after_a_simulation_ahead_of_the_clock_begin_a_new_run_with
         .await;
         let lost_s = (run.t0_ns - first.header.time_ns) as f64 * 1e-9;
         assert!(lost_s < 1.0, "{lost_s} s lost, killed: {is_killed}");
+    }
+}
+
+// The times of the simulation were ahead of the clock.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fast_simulation_ends_now_and_a_second_one_loses_no_frame() {
+    let site = Site::with(&storeys(2, RULES));
+    let _services = site.run();
+    let (bus, keys) = (site.join().await, site.keys());
+    let reports = bus.subscribe(keys.monitoring(), 256).await.unwrap();
+    let drops = Drops::watch(&bus, &keys).await;
+    let mut last_ns = None;
+    for _ in 0..2 {
+        let mut simulation = site.connecting("simulate");
+        simulation.args(["--duration", "60", "--speed", "20"]);
+        let started_s = now_s();
+        Process::start(&mut simulation).wait().expect_code(0);
+        let ended = report(&reports, "the end of the simulation", |display| {
+            display.words() == "blind: the samples have ended" && display.measured_ns > last_ns
+        })
+        .await;
+        last_ns = ended.measured_ns;
+        let ended_s = last_ns.unwrap() as f64 * 1e-9;
+        assert!(
+            (started_s..now_s()).contains(&ended_s),
+            "ended at {ended_s}, started at {started_s}"
+        );
+        // A second simulation overlaps with the first, and therefore begins a new run.
+        let frames = (60.0 * site.structure().sampling_rate_hz()) as u64;
+        let status = loop {
+            let status = drops.when_done(Service::Ingest, frames).await;
+            if status.time_ns >= ended.time_ns {
+                break status;
+            }
+        };
+        assert_eq!(status.done, frames);
+        for reason in ["late-samples", "duplicate-samples", "lost-items"] {
+            assert_eq!(status.drops.get(reason), None, "{:?}", status.drops);
+        }
     }
 }
 

@@ -132,6 +132,9 @@ pub struct SimulateArguments {
     #[arg(long)]
     pub seed: Option<u64>,
     /// Multiple of real time, or max; on the bus only.
+    ///
+    /// Above 1 and with --duration, the samples have times in the past, and the last one has the
+    /// present time. Without --duration, their times run ahead of the clock.
     #[arg(long, default_value = "1", conflicts_with = "record")]
     pub speed: Speed,
     /// Send samples as hardware does, at the time of their timestamp, without waiting for

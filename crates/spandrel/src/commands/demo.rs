@@ -3,7 +3,7 @@
 
 use super::print;
 use super::run::serve_page;
-use super::simulate::{Simulation, simulate};
+use super::simulate::{Simulation, head_start_ns, simulate};
 use crate::cli::{DemoArguments, Speed};
 use crate::error::AppError;
 use crate::services::{Running, Share, Watched, block_on, interrupted};
@@ -142,7 +142,9 @@ async fn show_and_collect(
         speed: arguments.speed.into(),
         seed: arguments.seed,
         frames: Some(frames),
-        start_ns: Clock::of_machine().now_ns() - head_start_ns(arguments),
+        start_ns: Clock::of_machine()
+            .now_ns()
+            .saturating_sub(head_start_ns(arguments.duration, arguments.speed)),
         nodes: (0..structure.nodes().len()).collect(),
     };
     let simulation = simulate(bus, structure, keys, &simulation, &no_bar);
@@ -165,18 +167,6 @@ async fn show_and_collect(
         }
         quit = &mut view => quit.map(|()| None),
     }
-}
-
-/// Returns the time by which the demo starts in the past, so that its last sample has the present
-/// time (ns).
-///
-/// A demo at twice real time starts by half of its duration in the past.
-fn head_start_ns(arguments: &DemoArguments) -> i64 {
-    let real_share = match arguments.speed {
-        Speed::Max => 0.0,
-        Speed::Times(factor) => (1.0 / factor).min(1.0),
-    };
-    (arguments.duration * (1.0 - real_share) * 1e9) as i64
 }
 
 async fn collect(

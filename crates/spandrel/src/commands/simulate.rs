@@ -1,7 +1,7 @@
 //! `spandrel simulate`: simulates a structure, on the bus or to a file.
 
 use super::{counted, in_place_of, print, progress, refuse_overwriting};
-use crate::cli::SimulateArguments;
+use crate::cli::{self, SimulateArguments};
 use crate::error::AppError;
 use crate::role_check::{Need, Work, check};
 use crate::services::{block_on, interrupted};
@@ -103,7 +103,8 @@ pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
 /// Returns the time of the first frame (ns since the Unix epoch, UTC).
 fn start_ns(arguments: &SimulateArguments, now_ns: i64) -> Result<i64, AppError> {
     let Some(start_s) = arguments.start else {
-        return Ok(now_ns);
+        let head_start = |length_s| head_start_ns(length_s, arguments.speed);
+        return Ok(now_ns.saturating_sub(arguments.duration.map_or(0, head_start)));
     };
     let refused = |why| Err(AppError::SimulationStart { start_s, why });
     let now_s = now_ns as f64 / 1e9;
@@ -126,6 +127,19 @@ fn start_ns(arguments: &SimulateArguments, now_ns: i64) -> Result<i64, AppError>
         warn!(wait_s = (start_s - now_s).round(), "waiting for the start");
     }
     Ok((start_s * 1e9) as i64)
+}
+
+/// Returns the time by which a simulation of this length (s) starts in the past, so that its last
+/// sample has the present time (ns).
+///
+/// A simulation at twice real time starts by half of its length in the past. One at real time or
+/// slower starts now.
+pub fn head_start_ns(length_s: f64, speed: cli::Speed) -> i64 {
+    let real_share = match speed {
+        cli::Speed::Max => 0.0,
+        cli::Speed::Times(factor) => (1.0 / factor).min(1.0),
+    };
+    (length_s * (1.0 - real_share) * 1e9) as i64
 }
 
 /// Ends the computation of rows on its thread when the simulation is dropped. The runtime would
@@ -307,7 +321,7 @@ mod tests {
     const NOW_NS: i64 = 1_795_220_273_000_000_000;
 
     fn start(options: &[&str]) -> Result<i64, String> {
-        let words = ["spandrel", "simulate", "tower.toml", "--live"];
+        let words = ["spandrel", "simulate", "tower.toml"];
         let arguments = Arguments::try_parse_from(words.iter().chain(options)).unwrap();
         let Command::Simulate(arguments) = arguments.command else {
             panic!("another command")
@@ -316,12 +330,28 @@ mod tests {
     }
 
     #[test]
+    fn a_fast_simulation_of_known_length_starts_in_the_past_and_ends_now() {
+        let s = |seconds: i64| NOW_NS + seconds * 1_000_000_000;
+        for (options, expected) in [
+            ("--duration 120 --speed 10", s(-108)),
+            ("--duration 120 --speed max", s(-120)),
+            ("--duration 120", s(0)),
+            ("--duration 120 --speed 0.5", s(0)),
+            ("--duration 120 --live", s(0)),
+            ("--speed 10", s(0)),
+        ] {
+            let words: Vec<&str> = options.split(' ').collect();
+            assert_eq!(start(&words), Ok(expected), "{options}");
+        }
+    }
+
+    #[test]
     fn live_simulation_starts_within_a_day_and_sends_something() {
-        assert_eq!(start(&[]), Ok(NOW_NS));
-        let hour_ago = ["--start", "1795216673"];
+        assert_eq!(start(&["--live"]), Ok(NOW_NS));
+        let hour_ago = ["--live", "--start", "1795216673"];
         assert_eq!(start(&hour_ago), Ok(1_795_216_673_000_000_000));
         for far in ["100", "2000000000", "1e300"] {
-            let error = start(&["--start", far]).unwrap_err();
+            let error = start(&["--live", "--start", far]).unwrap_err();
             assert!(
                 error.contains("at most one day before or after now"),
                 "{error}"
