@@ -6,10 +6,11 @@ use crate::support::{
 };
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Block, Bus, BusConfig, Description, EstimateBlock,
-    Mode, Name, Service, Subscription,
+    Event, EventKind, Mode, Name, Service, Subscription,
 };
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Length of the record (s), longer than the data that can be in transit. A replay therefore cannot
 /// end before it is read.
@@ -165,6 +166,59 @@ async fn a_killed_ingest_fetches_the_samples_from_its_nodes() {
         record.len()
     );
     assert_is_the_whole_record(&found[found.len() - record.len()..]);
+}
+
+/// The list of events showed only that the monitoring had been blind.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restart_of_ingest_is_an_event_with_the_age_of_its_last_frame() {
+    const GAP: Duration = Duration::from_secs(2);
+    let site = Site::with(&two_storeys(""));
+    let configuration = site.folder().join("spandrel.toml");
+    std::fs::write(&configuration, "[state]\nfolder = \"kept\"\n").unwrap();
+    // The event is published at the start, so the test must be there before.
+    let (bus, keys) = (site.host().await, site.keys());
+    let events = bus.subscribe::<Event>(keys.event(), 256).await.unwrap();
+    let mut done = bus
+        .watch_progress(keys.progress(Service::Ingest))
+        .await
+        .unwrap();
+    let ingest = || {
+        Process::start(
+            site.connecting("ingest")
+                .arg("--config")
+                .arg(&configuration),
+        )
+    };
+    let first = ingest();
+    let sensors = Process::start(site.connecting("simulate").arg("--live"));
+    within("frames", done.wait_for(|progress| progress.done >= 200)).await;
+    sensors.stop().expect_code(0);
+    first.kill();
+    let is_restart = |event: &Event| event.kind == EventKind::Restart;
+    let earlier: Vec<Event> = events.messages().drain().map(|(_, event)| event).collect();
+    assert!(
+        !earlier.iter().any(is_restart),
+        "without a state: {earlier:?}"
+    );
+    tokio::time::sleep(GAP).await; // the gap that the event states
+    let _second = ingest();
+    let event = within("the event", async {
+        loop {
+            let (_, event) = events.messages().recv_async().await.unwrap();
+            if is_restart(&event) {
+                return event;
+            }
+        }
+    })
+    .await;
+    assert_eq!(event.subject, "ingest");
+    let what = "ingest has restarted and resumes from frame ";
+    assert!(event.what.starts_with(what), "{event:?}");
+    let age_s = event.why.strip_prefix("its last frame was ");
+    let age_s = age_s.and_then(|age| age.strip_suffix(" s old"));
+    let age_s: f64 = age_s.and_then(|age| age.parse().ok()).expect(&event.why);
+    assert!(age_s >= GAP.as_secs_f64(), "{event:?}");
+    bus.close().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -534,7 +588,7 @@ async fn a_second_process_in_the_same_state_folder_ends_and_refuses_no_checkpoin
     within("estimates", done.wait_for(|progress| progress.done >= 5900)).await;
     let is_kept = async {
         while checkpoints(&folder, "identify-") == 0 {
-            tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+            tokio::time::sleep(Duration::from_millis(10)).await;
         }
     };
     within("a checkpoint", is_kept).await;

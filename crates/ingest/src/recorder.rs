@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
-use spandrel_bus::{Archive, FrameBlock, Header, StreamState};
+use spandrel_bus::{Archive, Block as _, FrameBlock, Header, StreamState};
 use spandrel_checkpoint::{may_become_writable, moment_within};
 use spandrel_record::{
     FrameLog, FrameLogReader, LogLayout, LogSettings, LogSyncer, LoggedFrames, NodePosition,
@@ -47,6 +47,14 @@ pub(crate) struct Past {
     pub(crate) nodes: Vec<NodePlace>,
     /// Whether all published frames are recorded. If so, numbering continues in the same epoch.
     pub(crate) is_whole: bool,
+}
+
+impl Past {
+    /// Returns the time of the last frame (ns since the Unix epoch, UTC).
+    pub(crate) fn last_time_ns(&self) -> Option<i64> {
+        let number = self.last.end().checked_sub(1)?;
+        Some(self.last.grid()?.time_ns(number))
+    }
 }
 
 /// The reader of the recording, or `None` before the recording could be opened.

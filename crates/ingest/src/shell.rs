@@ -172,15 +172,12 @@ impl Beginning {
             mut done,
             ..
         } = self;
+        let last_time_ns = past.last_time_ns();
         let Past {
             last,
             nodes,
             is_whole,
         } = past;
-        let last_time_ns = last
-            .grid()
-            .zip(last.end().checked_sub(1))
-            .map(|(grid, number)| grid.time_ns(number));
         let core = if is_whole {
             (stream.epoch, stream.first, stream.state) =
                 (last.header.epoch, last.end(), last.state);
@@ -206,6 +203,29 @@ impl Beginning {
             last_time_ns,
         }
     }
+}
+
+/// Reports that the service has restarted after these recorded frames, if there are any.
+///
+/// The event has the time of the wall clock, because several restarts can follow the same frame.
+fn restart(past: &Past, keys: &Keys, clock: Clock) -> Option<Event> {
+    let end = past.last.end();
+    let age_s = clock.seconds_since(past.last_time_ns()?);
+    Some(Event {
+        structure: keys.structure().clone(),
+        time_ns: clock.now_ns(),
+        kind: EventKind::Restart,
+        subject: "ingest".to_owned(),
+        what: match past.is_whole {
+            true => format!("ingest has restarted and resumes from frame {end}"),
+            false => format!("ingest has restarted and begins a new epoch after frame {end}"),
+        },
+        why: if age_s < 0.0 {
+            format!("its last frame was {:.1} s ahead of the clock", -age_s)
+        } else {
+            format!("its last frame was {age_s:.1} s old")
+        },
+    })
 }
 
 /// Returns how the samples of each node are read. `places` are the positions of the nodes, empty
@@ -313,6 +333,7 @@ impl IngestService {
                 }
                 None => (None, None),
             };
+            let restart = past.as_ref().and_then(|past| restart(past, &keys, *clock));
             // If frames were published but not recorded, their numbers must not be reused for other
             // samples.
             let epoch = past
@@ -418,6 +439,9 @@ impl IngestService {
                 sampling_rate_hz = service.layout.sampling_rate_hz(),
                 "ingest ready"
             );
+            if let Some(restart) = restart {
+                service.events.put(&restart).await?;
+            }
             Ok(service)
         })
     }
