@@ -361,8 +361,19 @@ impl Besieged {
         }
         let mut simulation = self.houses.sites[OTHER_HOUSE].connecting("simulate");
         simulation.env("SPANDREL_BUS__MODE", "client");
-        simulation.args(["--duration", "60", "--speed", "20"]);
-        Process::start(&mut simulation).wait().expect_code(0);
+        simulation.args(["--speed", "20"]);
+        match self.random.random() {
+            // The simulated times end now, or run ahead of the clock until the simulation stops.
+            true => {
+                simulation.args(["--duration", "60"]);
+                Process::start(&mut simulation).wait().expect_code(0);
+            }
+            false => {
+                let simulation = Process::start(&mut simulation);
+                std::thread::sleep(Duration::from_secs(3));
+                simulation.stop().expect_code(0);
+            }
+        }
         for node in [STEADY].into_iter().chain(OTHERS) {
             self.houses.send(OTHER_HOUSE, node, Manner::Honest);
         }
