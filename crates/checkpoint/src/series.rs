@@ -639,7 +639,7 @@ mod tests {
     fn state_is_set_aside_if_its_decoding_panics() {
         #[derive(Debug, PartialEq)]
         struct Sized(u64);
-        impl<'de> serde::Deserialize<'de> for Sized {
+        impl<'de> Deserialize<'de> for Sized {
             fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
                 let size = u64::deserialize(from)?;
                 Ok(Self(size.checked_mul(size).expect("a size")))

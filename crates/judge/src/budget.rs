@@ -2,6 +2,7 @@
 
 use crate::judgement::{Finding, Judgement, State};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Mean length of a year (days).
 const DAYS_PER_YEAR: f64 = 365.25;
@@ -31,8 +32,10 @@ pub struct Budget {
     last_day: Option<i64>,
     last_judged: Option<i64>,
     judged_days: u32,
-    /// Days of the alarms. A quantity raises at most one alarm per reference.
+    /// Days of the alarms. An alarm that is raised again, because the loss has grown, counts once.
     alarms: Vec<i64>,
+    /// Quantities with an alarm.
+    alarmed: BTreeSet<String>,
 }
 
 /// The alarms of a structure, and the false alarms that its budget promises for the same time.
@@ -57,7 +60,9 @@ impl Budget {
             self.last_judged = Some(day);
             self.judged_days += 1;
         }
-        if judgement.raised && judgement.finding.as_ref().is_some_and(Finding::is_alarm) {
+        if !judgement.finding.as_ref().is_some_and(Finding::is_alarm) {
+            self.alarmed.remove(&judgement.quantity);
+        } else if self.alarmed.insert(judgement.quantity.clone()) {
             self.alarms.push(day);
         }
     }
@@ -115,7 +120,10 @@ mod tests {
                 .then_some(Finding::LastingLoss(change(300)));
             budget.count(&judgement(day, State::Judged, lost));
             let stiffer = (day >= 1400).then_some(Finding::Stiffer(change(1400)));
-            budget.count(&judgement(day, State::Judged, stiffer));
+            budget.count(&Judgement {
+                quantity: "f2".to_owned(),
+                ..judgement(day, State::Judged, stiffer)
+            });
         }
         let spent = budget.spent(0.5);
         let (days, promised) = (spent.judged_days, spent.promised);
@@ -124,8 +132,10 @@ mod tests {
         let why = Absence::Quantity;
         let away = Finding::LearnedAway(change(1500));
         budget.count(&judgement(1500, State::NoStatement { why }, Some(away)));
+        let grown = Finding::LearnedAway(change(1501));
+        budget.count(&judgement(1501, State::Judged, Some(grown)));
         let spent = budget.spent(0.5);
-        assert_eq!(spent.judged_days, 1461);
+        assert_eq!(spent.judged_days, 1462);
         assert_eq!((spent.alarms, spent.alarms_in_last_year), (2, 1));
     }
 }

@@ -51,7 +51,6 @@ enum Phase {
 
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Commissioning {
-    first_day: Option<i64>,
     days: Vec<Day>,
     /// What the last attempt missed, and its day.
     missing: Option<(Missing, i64)>,
@@ -155,8 +154,12 @@ impl Commissioning {
     /// Adds a day. Returns the judging phase once the commissioning is over and complete.
     fn end_day(&mut self, day: Option<Day>, frame: Frame<'_>) -> Result<Judging, State> {
         let absence = day.is_none().then(|| absent(frame.absence));
-        let first = *self.first_day.get_or_insert(frame.day);
         self.days.extend(day);
+        // The oldest days are dropped, so that the state is bounded and a commissioning can
+        // recover. A first day with a wrong date does not shorten it.
+        let oldest = frame.day - i64::from(Settings::COMMISSIONING_RANGE.1);
+        self.days.retain(|day| day.number > oldest);
+        let first = self.days.first().map_or(frame.day, |day| day.number);
         let length = i64::from(frame.settings.commissioning_days);
         let passed = frame.day - first + 1;
         if passed < length {
@@ -169,10 +172,6 @@ impl Commissioning {
             let missing = missing.clone();
             return Err(absence.unwrap_or(State::NotReady { missing }));
         }
-        // The oldest days are dropped, so that the state is bounded and a commissioning can
-        // recover.
-        let oldest = frame.day - i64::from(Settings::COMMISSIONING_RANGE.1);
-        self.days.retain(|day| day.number > oldest);
         let seed = frame.index as u64;
         match Reference::learn(&self.days, frame.quantity, frame.settings, seed) {
             Ok(reference) => Ok(Judging::new(reference, frame)),

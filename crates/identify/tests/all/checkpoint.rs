@@ -2,7 +2,7 @@
 //! uninterrupted one.
 
 use spandrel_bus::{FrameBlock, Header, StreamState};
-use spandrel_checkpoint::{Checkpoints, Identity, Position};
+use spandrel_checkpoint::{Checkpoints, Identity};
 use spandrel_identify::{Identification, IdentificationInput, IdentificationState, Output};
 use spandrel_structure::Structure;
 use std::path::{Path, PathBuf};

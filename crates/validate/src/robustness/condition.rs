@@ -189,6 +189,11 @@ const FOUND: Expected = Expected::Loss {
     found: Some(0.9),
     within_s: None,
 };
+/// Loss under a correct file, whose figures show what the data allow.
+const REPORTED: Expected = Expected::Loss {
+    found: None,
+    within_s: None,
+};
 
 /// Returns the requirement of a sudden loss with this mean delay, plus 5 s.
 const fn sudden(before_s: f64) -> Expected {
@@ -245,16 +250,8 @@ conditions![
     "noise-fivefold-loss" "Noise of all channels five times the file; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; lose(b, 2, 0.10) };
     "ground-noise-fivefold" "Noise of the ground channel five times the file", DURATION_S, WRONG, |b, s, seed| b.ground_noise = 0.025;
     "ground-noise-fivefold-loss" "Noise of the ground channel five times the file; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; lose(b, 2, 0.10) };
-    "x1" "x", DURATION_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; s.noise_std = 0.025; s.ground_noise_std = 0.025; lose(b, 2, 0.10) };
-    "x2" "x", SUDDEN_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; lose_late(b, 2, 0.10) };
-    "x3" "x", SUDDEN_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; s.noise_std = 0.025; s.ground_noise_std = 0.025; lose_late(b, 2, 0.10) };
-    "x4" "x", DURATION_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; s.ground_noise_std = 0.025; lose(b, 2, 0.10) };
-    "x5" "x", SUDDEN_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; lose_late(b, 2, 0.10) };
-    "x6" "x", SUDDEN_S, FOUND, |b, s, seed| { b.ground.std = 0.01; lose_late(b, 2, 0.10) };
-    "x7" "x", SUDDEN_S, FOUND, |b, s, seed| { damping(b, 1.0 / 3.0); lose_late(b, 2, 0.10) };
-    "x8" "x", SUDDEN_S, FOUND, |b, s, seed| { damping(b, 3.0); lose_late(b, 2, 0.10) };
-    "x9" "x", 240.0, FOUND, |b, s, seed| { b.ground.std = 0.01; s.filter = "half-life-s = 30\n".to_owned(); lose_late(b, 2, 0.10) };
-    "x10" "x", 240.0, FOUND, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; s.filter = "half-life-s = 30\n".to_owned(); lose_late(b, 2, 0.10) };
+    "noise-fivefold-stated-loss" "Noise of all channels five times as large, as the file states; storey 2 loses 10 %", DURATION_S, REPORTED, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; s.noise_std = 0.025; s.ground_noise_std = 0.025; lose(b, 2, 0.10) };
+    "ground-noise-fivefold-stated-loss" "Noise of the ground channel five times as large, as the file states; storey 2 loses 10 %", DURATION_S, REPORTED, |b, s, seed| { b.ground_noise = 0.025; s.ground_noise_std = 0.025; lose(b, 2, 0.10) };
     "weak-motion" "A tenth of the motion", DURATION_S, WRONG, |b, s, seed| b.ground.std = 0.01;
     "weak-motion-loss" "A tenth of the motion; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { b.ground.std = 0.01; lose(b, 2, 0.10) };
     "rest" "The ground comes to rest after a minute", SUDDEN_S, WRONG, |b, s, seed| falls(b, 0.0);

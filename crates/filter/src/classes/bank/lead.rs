@@ -46,7 +46,7 @@ impl<S: ComponentSystem> ClassBank<S> {
 
     /// Returns noise levels and outlier state of a filter; noise levels that are not finite return
     /// to their initial state.
-    fn findings_of(&self, class: usize) -> (NoiseState, Option<OutlierState>) {
+    pub(super) fn findings_of(&self, class: usize) -> (NoiseState, Option<OutlierState>) {
         let known = self.members[class].filter.state();
         let is_lost = known
             .noise()
