@@ -200,6 +200,95 @@ async fn means_have_the_uncertainty_of_their_kind() {
     );
 }
 
+/// Regression test: while the history did not answer, a comparison had "no difference", and plots
+/// and reports had "no data".
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_history_is_neither_no_difference_nor_no_data() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&["--duration", "30"]);
+    browser
+        .open(&format!("{}#/structure/demo/compare", demo.page))
+        .await;
+    browser.wait("the end of the demo", ENDED).await;
+    let sentence = "document.querySelector('#panel-compare .sentence')";
+    let is_told = format!("{sentence}.checkVisibility() && {sentence}.textContent");
+    browser.wait("a comparison", &is_told).await;
+    let late = "(() => {
+        const load = globalThis.fetch;
+        globalThis.isLate = true;
+        globalThis.fetch = async (address, ...more) => {
+          const response = await load(address, ...more);
+          if (!globalThis.isLate || !String(address).includes('/history?')) return response;
+          const answer = await response.json();
+          const series = answer.series.map((one) => ({ ...one, data: one.data.map(() => []) }));
+          return { ok: true, json: async () => ({ ...answer, series, incomplete: true }) };
+        };
+      })()";
+    browser.evaluate(late).await;
+    browser
+        .evaluate("document.querySelector('.two-ranges').requestSubmit()")
+        .await;
+    let notice = |place: &str| {
+        format!(
+            "[...document.querySelectorAll('{place} .told')].some((told) => \
+             told.checkVisibility() && told.textContent.startsWith('The history did not answer'))"
+        )
+    };
+    browser.wait("the reason", &notice("#panel-compare")).await;
+    let ticks = "document.querySelector('#panel-compare').innerText.includes('✓')";
+    assert_eq!(browser.evaluate(ticks).await, false);
+    browser
+        .evaluate("location.hash = '#/structure/demo/parameters'")
+        .await;
+    browser
+        .wait("the reason at the plots", &notice(".ranges-bar"))
+        .await;
+    browser
+        .wait(
+            "the reason in an empty plot",
+            "document.querySelector('#plot-parameter-storey-1 \
+             .readout')?.textContent.startsWith('The history did not answer')",
+        )
+        .await;
+    browser.evaluate("location.hash = '#/report'").await;
+    browser
+        .wait("the reason in a report", &notice(".report"))
+        .await;
+    let cells = "[...document.querySelectorAll('.is-parameters tbody tr')].map((row) => \
+                 row.children[2].textContent)";
+    assert_eq!(browser.evaluate(cells).await, json!(vec!["not read"; 6]));
+    // Later, all of it arrives.
+    browser
+        .evaluate(
+            "globalThis.isLate = false; document.querySelector('.report .told button').click()",
+        )
+        .await;
+    browser
+        .wait(
+            "the whole report",
+            &format!(
+                "!({}) && document.querySelector('.charts .line')",
+                notice(".report")
+            ),
+        )
+        .await;
+    browser
+        .evaluate("location.hash = '#/structure/demo/parameters'")
+        .await;
+    browser
+        .wait(
+            "the plots",
+            &format!(
+                "!({}) && document.querySelector('#plot-parameter-storey-1 canvas')",
+                notice(".ranges-bar")
+            ),
+        )
+        .await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
 /// A part without an alert rule has no decision, and no threshold.
 #[tokio::test(flavor = "multi_thread")]
 async fn structures_without_alert_rules_are_shown() {

@@ -4,6 +4,7 @@
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { Plot, css, look, padded } from "./plot.js";
+import { lateNotice } from "./ranges.js";
 import { Scale } from "./span.js";
 import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfField, zone } from "./words.js";
 import { Extent } from "./year.js";
@@ -100,6 +101,8 @@ class TwoRanges {
   ranges = null;
   /** Time from which data are stored (s since 1970), or null. */
   keptFrom_s = null;
+  /** Whether the history has not supplied all data in time. */
+  isLate = false;
   extent = new Extent();
 
   constructor(structure) {
@@ -126,22 +129,27 @@ class TwoRanges {
     const { ranges } = this;
     const answers = await Promise.all(ranges.map((range) => this.#range(range, names)));
     if (answers.includes(null) || ranges !== this.ranges) return false;
-    this.#series = new Map(names.map((name) => [name, answers.map((answer) => answer.get(name))]));
+    this.isLate = answers.some(({ isLate }) => isLate);
+    // A mean of a part of a range is none of the range.
+    this.#series = new Map(this.isLate ? [] : names.map((name) => [name, answers.map(({ found }) => found.get(name))]));
+    this.extent.late = new Set(this.isLate ? names : []);
     this.extent.all = [0, Math.max(...ranges.map(({ from_s, to_s }) => to_s - from_s))];
     return true;
   }
 
   async #range({ from_s, to_s }, names) {
     const found = new Map();
+    let isLate = false;
     for (let at = 0; at < names.length; at += SERIES_PER_REQUEST) {
       const query = new URLSearchParams({ series: names.slice(at, at + SERIES_PER_REQUEST).join(","), points: POINTS, from: from_s, to: to_s });
       const response = await fetch(`/api/structures/${encodeURIComponent(this.structure)}/history?${query}`);
       if (!response.ok) return null;
       const answer = await response.json();
       this.keptFrom_s = answer.kept_from_s;
+      isLate ||= answer.incomplete;
       for (const { name, data } of answer.series) found.set(name, [data[0].map((time) => time - from_s), ...data.slice(1)]);
     }
-    return found;
+    return { found, isLate };
   }
 }
 
@@ -153,6 +161,8 @@ export class CompareTab {
   plots = [];
   /** Shared range of the stiffnesses, so that a small difference does not look like a large one. */
   #scale = new Scale();
+  /** The ranges that are being loaded, or null. */
+  #loading = null;
 
   constructor(page) {
     this.page = page;
@@ -174,10 +184,12 @@ export class CompareTab {
     this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": t("differences") }, h("table", { class: "differences" }, h("thead", {}, heads), this.rows));
     this.lengths = h("p", { class: "group-text" });
     this.sentence = h("p", { class: "sentence" });
+    this.late = lateNotice(() => this.#load());
+    this.late.hidden = true;
     this.all = h("button", { type: "button", class: "back", hidden: true, onclick: () => this.points.extent.live() }, t("whole-ranges"));
     this.holder = h("div", { class: "plots" });
     const words = t("the-interval-covers-the-errors-of-the");
-    this.element = h("section", { class: "group", id: "group-compare" }, h("h2", { class: "sr-only" }, t("comparison")), h("section", { class: "card" }, this.form), h("section", { class: "card" }, this.sentence, this.lengths, this.table, h("p", { class: "group-text" }, words)), h("div", { class: "tools" }, this.all), this.holder);
+    this.element = h("section", { class: "group", id: "group-compare" }, h("h2", { class: "sr-only" }, t("comparison")), h("section", { class: "card" }, this.form), h("section", { class: "card" }, this.late, this.sentence, this.lengths, this.table, h("p", { class: "group-text" }, words)), h("div", { class: "tools" }, this.all), this.holder);
     this.#build(this.quantities.length <= MOST_PLOTS ? this.quantities : []);
   }
 
@@ -237,7 +249,8 @@ export class CompareTab {
 
   #set(ranges) {
     this.isUnchosen = false;
-    this.points.ranges = ranges;
+    // Equal ranges that are being loaded need not be loaded again.
+    if (JSON.stringify(ranges) !== JSON.stringify(this.points.ranges)) this.points.ranges = ranges;
     const isRecord = isWithoutDate(ranges[1].to_s);
     ranges.forEach((range, index) => {
       for (const end of ["from", "to"]) {
@@ -264,12 +277,20 @@ export class CompareTab {
   }
 
   async #load() {
-    setText(this.told, "");
     const { ranges } = this.points;
-    const isThere = this.quantities.length > 0 && (await this.points.load(this.quantities.map(({ series }) => series)).catch(() => false));
+    if (this.#loading === ranges) return;
+    this.#loading = ranges;
+    setText(this.told, "");
+    // The address may state other ranges at once.
+    await null;
+    const isThere = ranges === this.points.ranges && this.quantities.length > 0 && (await this.points.load(this.quantities.map(({ series }) => series)).catch(() => false));
+    if (this.#loading === ranges) this.#loading = null;
     if (ranges !== this.points.ranges) return;
     if (!isThere) return setText(this.told, this.quantities.length > 0 ? t("cannot-reach-spandrel") : t("this-structure-has-neither-parameters-nor-followed"));
-    const { keptFrom_s: kept } = this.points;
+    const { keptFrom_s: kept, isLate } = this.points;
+    this.late.hidden = !isLate;
+    for (const of of [this.sentence, this.lengths, this.table]) of.hidden = isLate;
+    if (isLate) return this.#redraw();
     if (this.isUnchosen && kept !== null && kept > ranges[0].from_s + 1 && kept < ranges[1].to_s - 1) return this.#choose(this.#halves(kept));
     this.#show();
   }
@@ -341,6 +362,7 @@ function summary(results) {
   const known = results.filter(({ change }) => change);
   if (known.length === 0) return t("no-quantity-has-data-in-both-ranges");
   const clear = known.filter(({ words }) => words.sentence).sort((a, b) => clearness(b) - clearness(a));
+  if (clear.length === 0 && known.length < results.length) return t("no-difference-among-known", known.length, results.length);
   if (clear.length === 0) return known.some(({ change }) => change.isByChance) ? t("no-difference-beyond-chance", known.length) : t("no-difference-is-shown-the-95-per");
   const named = clear.slice(0, MOST_NAMED).map(({ name, words }) => `${name} ${words.sentence}`);
   const more = clear.length - named.length;

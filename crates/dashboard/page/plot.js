@@ -170,7 +170,8 @@ export class Plot {
     const isEmpty = !data || data[0].length === 0;
     this.element.classList.toggle("is-empty", isEmpty);
     if (isEmpty) {
-      setText(this.readout, this.#wasFetched ? t("no-data-in-this-span") : t("plot-loading"));
+      const isLate = this.plot.names.some((name) => this.span.late?.has(name));
+      setText(this.readout, isLate ? t("history-did-not-answer-in-time") : this.#wasFetched ? t("no-data-in-this-span") : t("plot-loading"));
       return;
     }
     const isNew = !this.#uplot;

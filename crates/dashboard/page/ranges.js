@@ -23,6 +23,11 @@ export function timeIn({ type, value }) {
   return type === "number" ? (value === "" ? NaN : Number(value)) : timeOfField(value);
 }
 
+/** Returns a text that data are missing, because the history was late, with a button that loads them. */
+export function lateNotice(again) {
+  return h("p", { class: "told", role: "status" }, t("history-did-not-answer-in-time"), " ", h("button", { type: "button", class: "small", onclick: again }, t("load-again")));
+}
+
 export class RangeBar {
   /**
    * `csv()` returns the address of the visible data of all plots, and `report()` that of a report of the
@@ -38,6 +43,7 @@ export class RangeBar {
     });
     this.zoomed = h("button", { type: "button", class: "back", onclick: () => span.live(span.length_s) }, t("back-to-live"));
     this.text = h("span", { class: "range-text", role: "status" });
+    this.late = lateNotice(() => span.again());
     this.opener = h("button", { type: "button", class: "free", "aria-expanded": "false", "aria-controls": free, onclick: () => this.#toggle() }, t("from-to"));
     this.from = h("input", { id: `${key}-from`, required: true });
     this.to = h("input", { id: `${key}-to`, required: true });
@@ -57,7 +63,7 @@ export class RangeBar {
       this.told,
       samples ? h("span", {}, t("samples"), " ", samples) : null,
     );
-    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": label }, this.buttons.map(({ button }) => button), this.opener), h("div", { class: "range-state" }, this.zoomed, this.text), this.form);
+    this.element = h("div", { class: "ranges-bar" }, h("div", { class: "ranges", role: "group", "aria-label": label }, this.buttons.map(({ button }) => button), this.opener), h("div", { class: "range-state" }, this.zoomed, this.text, this.late), this.form);
     this.update();
   }
 
@@ -65,6 +71,7 @@ export class RangeBar {
     const { span } = this;
     for (const { length, button } of this.buttons) button.setAttribute("aria-pressed", String(span.isLive && span.length_s === length));
     this.zoomed.hidden = span.isLive;
+    this.late.hidden = span.late.size === 0;
     setText(this.text, this.#words());
   }
 

@@ -6,7 +6,7 @@ import { h, setText } from "./dom.js";
 import { eventWords } from "./events.js";
 import { t } from "./language.js";
 import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
-import { showTimes, timeIn } from "./ranges.js";
+import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
 import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, seenWords, setSentence, spanOf, stateOf, time, unit, wordOf } from "./words.js";
 
@@ -100,9 +100,10 @@ export class ReportPage {
     const logged = reported.map((one, index) => withLog(one, logs[index]));
     this.#listEvents(logged);
     // Where less is stored, the plots start with the data.
-    const firsts = series.flatMap((of) => [...of.values()].map(([times]) => times[0]).filter((time) => time !== undefined));
+    const firsts = series.filter(({ isLate }) => !isLate).flatMap(({ found }) => [...found.values()].map(([times]) => times[0]).filter((time) => time !== undefined));
     const shown = { from_s: firsts.length > 0 ? Math.max(from_s, Math.min(...firsts, to_s - 1)) : from_s, to_s };
-    const sections = logged.map((one, index) => section(one, series[index], { from_s, to_s }, shown));
+    const again = () => this.#load();
+    const sections = logged.map((one, index) => section(one, { ...series[index], again }, { from_s, to_s }, shown));
     this.sheet.replaceChildren(head(reported, { from_s, to_s }, shown), ...sections);
     this.sheet.dataset.state = "complete";
     this.print.disabled = false;
@@ -125,7 +126,7 @@ export class ReportPage {
   #listEvents(reported) {
     const happened = reported.flatMap(({ about, events, changes }) => eventsOf({ events }, changes).filter(({ isListed }) => isListed).map((event) => ({ ...event, structure: about.name })));
     happened.sort((a, b) => b.time_s - a.time_s);
-    this.event.append(...happened.map(({ time_s, measured_s, structure, about, what, lang }) => h("option", { value: measured_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
+    this.event.replaceChildren(this.event.firstElementChild, ...happened.map(({ time_s, measured_s, structure, about, what, lang }) => h("option", { value: measured_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
   }
 
   #submit(event) {
@@ -152,26 +153,28 @@ function withLog(one, log) {
 /** Share of a period without data from which the points are fetched again, for the rest of it. */
 const MOST_EMPTY = 0.05;
 
-/** Fetches all series of a report. Returns their columns by name. */
+/** Fetches all series of a report. Returns their columns by name, and whether the history was late. */
 async function pointsOf(about, from_s, to_s) {
-  const { kept_from_s: kept, found } = await fetchPoints(about, from_s, to_s);
+  const all = await fetchPoints(about, from_s, to_s);
+  const { kept_from_s: kept, isLate } = all;
   // The points of a reply are spread over all of its span.
   const isMostlyEmpty = kept !== null && kept < to_s && kept - from_s > MOST_EMPTY * (to_s - from_s);
-  return isMostlyEmpty ? (await fetchPoints(about, kept, to_s)).found : found;
+  return isMostlyEmpty && !isLate ? fetchPoints(about, kept, to_s) : all;
 }
 
 async function fetchPoints({ name, parameters, modes, conditions }, from_s, to_s) {
   const names = [...parameters.flatMap(({ name }) => [`parameter/${name}`, `loss/${name}`]), ...modes.map(({ name }) => `mode/${name}`), ...conditions.map(({ name }) => `condition/${name}`)];
   const found = new Map();
-  let kept_from_s = null;
+  let [kept_from_s, isLate] = [null, false];
   for (let at = 0; at < names.length; at += SERIES_PER_REQUEST) {
     const query = new URLSearchParams({ series: names.slice(at, at + SERIES_PER_REQUEST).join(","), points: POINTS, from: from_s, to: to_s });
     const response = await fetch(`/api/structures/${encodeURIComponent(name)}/history?${query}`);
     const answer = await response.json();
     if (answer.kept_from_s !== null) kept_from_s = Math.min(answer.kept_from_s, kept_from_s ?? Infinity);
+    isLate ||= answer.incomplete;
     for (const { name, data } of answer.series) found.set(name, data);
   }
-  return { kept_from_s, found };
+  return { kept_from_s, isLate, found };
 }
 
 /**
@@ -223,8 +226,8 @@ function head(reported, { from_s, to_s }, shown) {
   return h("header", { class: "report-head" }, h("h1", {}, t("structural-health-report")), sentence(h("p", { class: "period" }), period), sentence(h("p", { class: "group-text" }), made + stored), all);
 }
 
-/** Everything about one structure. */
-function section({ about, overview, standing, changes, events: known, log }, series, period, shown) {
+/** Everything about one structure. Without the replies of the history, the report has no estimates. */
+function section({ about, overview, standing, changes, events: known, log }, { found, isLate, again }, period, shown) {
   if (overview.time_s === null) return h("article", { class: "report-structure is-empty", "data-structure": about.name, "data-level": overview.level }, h("h2", {}, about.name), sentence(h("p", { lang: SERVICES }), overview.sentence));
   const isWithin = ({ measured_s: at }) => at >= period.from_s - ROUNDING_S && at <= period.to_s + ROUNDING_S;
   const happened = eventsOf({ events: known }, []).filter(isWithin);
@@ -233,6 +236,7 @@ function section({ about, overview, standing, changes, events: known, log }, ser
   const others = all.length - alerts.length;
   const level = LEVELS[overview.level];
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
+  const series = isLate ? null : found;
   const { sensors } = overview;
   const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.is_filtered ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only")])];
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
@@ -247,11 +251,12 @@ function section({ about, overview, standing, changes, events: known, log }, ser
     h("h2", {}, about.name),
     h("p", { class: "description" }, where.join(" · ")),
     h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
+    isLate ? lateNotice(again) : null,
     part(t("alerts-in-the-period"), events(alerts, t("no-alert")), left(alerts), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
-    about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), parameterCharts(about, standing, changes, series, shown)) : null,
-    about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
+    about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), series && parameterCharts(about, standing, changes, series, shown)) : null,
+    about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), series && charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
     about.judged.length > 0 ? part(t("lasting-change"), standing.judgements.length === 0 ? none(t("the-service-judge-has-not-reported-yet")) : h("ul", { class: "sensor-list" }, standing.judgements.map(({ sentence: text }) => sentence(h("li", { lang: SERVICES }), text)))) : null,
-    about.conditions.length > 0 ? part(t("conditions"), h("ul", { class: "sensor-list" }, standing.conditions.map((condition) => h("li", {}, conditionWords(condition).text))), charts(about.conditions, "condition", series, shown, ({ name, unit: of }) => `${name} (${unit(of)})`)) : null,
+    about.conditions.length > 0 ? part(t("conditions"), h("ul", { class: "sensor-list" }, standing.conditions.map((condition) => h("li", {}, conditionWords(condition).text))), series && charts(about.conditions, "condition", series, shown, ({ name, unit: of }) => `${name} (${unit(of)})`)) : null,
     part(t("sensors-at-the-time-of-the-report"), sensorTable(about, standing)),
     part(t("events-in-the-period"), events(happened, t("no-event-is-known")), left(happened)),
   );
@@ -271,18 +276,19 @@ function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
   return last && !isPresent ? { level: STATES[last.state].level, words: `${STATES[last.state].sign} ${STATES[last.state].word}`, isOpen: isUndecided(last) } : { level: "learning", words: t("no-decision-known") };
 }
 
+/** Without `series`, the estimates were not read. */
 function parameterTable(about, overview, standing, changes, series, period) {
   const ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
   const rows = about.parameters.map((parameter) => {
     const { level, words, isOpen } = !about.is_filtered ? { level: "learning", words: notJudged(about) } : stateAtEnd(parameter, ruled, overview, standing, changes, period);
-    const [, means, stds] = series.get(`parameter/${parameter.name}`) ?? [[], [], []];
+    const [, means, stds] = series?.get(`parameter/${parameter.name}`) ?? [[], [], []];
     const row = means.findLastIndex((mean) => mean !== null);
     const [mean, std] = [means[row], stds[row]];
-    const chance = series.get(`loss/${parameter.name}`)?.[4]?.at(-1);
+    const chance = series?.get(`loss/${parameter.name}`)?.[4]?.at(-1);
     const loss = standing.losses[parameter.name];
     const toldOf = (text) => (isOpen ? t("not-decided", text) : text);
     const asked = loss && parameter.stiffness && chance != null ? t("probability-for-more-than", toldOf(probability(chance, loss.rule_credibility)), percent(loss.rule_loss, 0)) : parameter.stiffness ? "–" : NOT_STIFFNESS;
-    const texts = row < 0 ? [t("no-estimate"), "–"] : [`${ratio(mean)} ± ${ratio(std)}`, t("range", ratio(mean - HALF_95 * std), ratio(mean + HALF_95 * std))];
+    const texts = row < 0 ? [series ? t("no-estimate") : t("not-read"), "–"] : [`${ratio(mean)} ± ${ratio(std)}`, t("range", ratio(mean - HALF_95 * std), ratio(mean + HALF_95 * std))];
     return { level, cells: [parameter.name, words, ...texts, asked] };
   });
   return table(COLUMNS.parts, rows, { label: t("parameters-at-the-end-of-the-period"), className: "is-parameters" });

@@ -29,6 +29,8 @@ export class Span {
   newest_s = null;
   /** Time from which all requested data is available (s since 1970). */
   keptFrom_s = null;
+  /** Names of the series of which the history has not supplied earlier data in time. */
+  late = new Set();
 
   get isLive() {
     return this.#fixed === null;
@@ -67,13 +69,18 @@ export class Span {
     this.#set([from_s, to_s]);
   }
 
+  /** Loads all data of the span again. */
+  again() {
+    this.#listeners.forEach((listener) => listener());
+  }
+
   onchange(listener) {
     this.#listeners.push(listener);
   }
 
   #set(fixed) {
     this.#fixed = fixed;
-    this.#listeners.forEach((listener) => listener());
+    this.again();
   }
 }
 
@@ -133,7 +140,8 @@ export class Points {
       return false;
     }
     const answer = await response.json();
-    if (answer.kept_from_s !== null) this.span.keptFrom_s = Math.min(answer.kept_from_s, this.span.keptFrom_s ?? Infinity);
+    for (const name of names) this.span.late[answer.incomplete ? "add" : "delete"](name);
+    if (answer.kept_from_s !== null && !answer.incomplete) this.span.keptFrom_s = Math.min(answer.kept_from_s, this.span.keptFrom_s ?? Infinity);
     for (const { name, generation, data } of answer.series) {
       const entry = this.#entry(name);
       const last = data[0].at(-1) ?? -Infinity;
@@ -173,6 +181,7 @@ export class Points {
   /** Drops all series, because no plot shows them any more. */
   clear() {
     this.#series.clear();
+    this.span.late.clear();
   }
 
   #entry(name) {

@@ -9,6 +9,8 @@ import { DAY_S } from "./span.js";
 const POINTS = 96;
 /** Interval after which a line is fetched again (ms). */
 const REFRESH_MS = 300_000;
+/** Interval after which a line is fetched again if the history did not supply all of it (ms). */
+const RETRY_MS = 30_000;
 /** Smallest span of values that fills the height, as a ratio to the design. */
 const LEAST_SPAN = 0.05;
 /** Width below which a line would be a vertical stroke, so that only its dot is drawn (px). */
@@ -52,7 +54,8 @@ export class Sparklines {
     const query = new URLSearchParams({ series: `parameter/${parameter}`, points: POINTS, from: from_s });
     const response = await fetch(`/api/structures/${encodeURIComponent(structure)}/history?${query}`);
     if (!response.ok) return;
-    const { series } = await response.json();
+    const { series, incomplete } = await response.json();
+    if (incomplete) line.at = performance.now() - REFRESH_MS + RETRY_MS;
     const [times, means] = series[0]?.data ?? [[], []];
     const rows = times.map((_, row) => row).filter((row) => means[row] !== null);
     canvas.hidden = rows.length < 2;

@@ -257,6 +257,7 @@ export class StructurePage {
 
   #respan() {
     this.span.keptFrom_s = null;
+    this.span.late.clear();
     this.ranges?.update();
     this.#remember();
     this.#current?.plots.forEach((plot) => plot.restart());

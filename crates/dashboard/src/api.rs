@@ -297,7 +297,17 @@ async fn read_history(
         let store = find(&server, &name)?;
         history::read(&store, &history::Request::new(&asked, &store)?)
     };
-    for (earlier, answer) in server.ask_history(&name, earlier).await {
+    let replies = server.ask_history(&name, earlier).await;
+    if replies.is_incomplete && asked.format == Format::Csv {
+        // A table has no place to state that rows are missing.
+        return Err(Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "the history did not answer in time",
+            "try again",
+        ));
+    }
+    span.incomplete = replies.is_incomplete;
+    for (earlier, answer) in replies.spans {
         span.put_before(&earlier, &answer);
     }
     Ok(match asked.format {

@@ -67,6 +67,8 @@ pub(crate) struct Span {
     /// if there is no data. A series that begins later, such as a loss after the reference was
     /// learnt, does not hide what the others contain.
     kept_from_s: Option<f64>,
+    /// Whether a history service has not replied in time, so that earlier data can be missing.
+    pub(crate) incomplete: bool,
     series: Vec<SpanOfSeries>,
 }
 
@@ -224,6 +226,7 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     let mut span = Span {
         structure: store.about.name.clone(),
         kept_from_s: None,
+        incomplete: false,
         series,
     };
     span.tell_kept_from();

@@ -8,7 +8,7 @@ use crate::store::Store;
 use crate::stretch::{Stretch, Unreadable};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Annotation, Bus, BusError, Event, FrameBlock,
-    HistoryLog, HistorySpan, JudgementCourse, Keys, Name, ReportPage, SpanQuery,
+    HistoryLog, HistorySpan, JudgementCourse, Keys, Name, ReportPage, Service, SpanQuery,
 };
 use spandrel_listener::Input;
 use spandrel_service::Clock;
@@ -28,6 +28,13 @@ const REPORT_WITHIN: Duration = Duration::from_secs(5);
 /// Time limit for a reply of the history service.
 const HISTORY_WITHIN: Duration = Duration::from_secs(3);
 
+/// Time limit for the start of the last of several queries to the history service.
+const ALL_HISTORY_WITHIN: Duration = Duration::from_secs(12);
+
+/// Maximum number of concurrent queries of one request to the history service. It replies to one
+/// query at a time, and drops those that exceed its queue.
+const MOST_QUERIES: usize = 8;
+
 /// Time limit for a reply of ingest with some frames.
 const FRAMES_WITHIN: Duration = Duration::from_secs(3);
 
@@ -42,6 +49,14 @@ const CHANGES_WAITING: usize = 64;
 
 /// Queue length for events while waiting for the confirmation of an annotation.
 const EVENTS_WAITING: usize = 256;
+
+/// Replies of the history services to the queries of one request.
+#[derive(Debug, Default)]
+pub(crate) struct HistoryReplies {
+    pub(crate) spans: Vec<(Earlier, HistorySpan)>,
+    /// Whether a service has not replied to each query in time, so that data can be missing.
+    pub(crate) is_incomplete: bool,
+}
 
 /// State shared by the requests and the subscriber to the bus.
 #[derive(Debug)]
@@ -216,38 +231,49 @@ impl Server {
         Ok(confirmed.unwrap_or(false))
     }
 
-    /// Queries the history service for data from before the stored data. Omits data for which no
-    /// reply arrives in time.
-    pub(crate) async fn ask_history(
-        &self,
-        structure: &str,
-        all: Vec<Earlier>,
-    ) -> Vec<(Earlier, HistorySpan)> {
-        let Some((keys, _)) = self
-            .structures
-            .iter()
-            .find(|(keys, _)| keys.structure().as_str() == structure)
+    /// Queries the history services for data from before the stored data. The replies state whether
+    /// one is missing.
+    pub(crate) async fn ask_history(&self, structure: &str, all: Vec<Earlier>) -> HistoryReplies {
+        let mut structures = self.structures.iter();
+        let Some((keys, store)) =
+            structures.find(|(keys, _)| keys.structure().as_str() == structure)
         else {
-            return Vec::new();
+            return HistoryReplies::default();
         };
+        let services = {
+            let store = lock(store);
+            let present = store.state.present();
+            present.filter(|of| of.0 == Service::History).count()
+        };
+        let places = Arc::new(Semaphore::new(MOST_QUERIES));
+        let end = tokio::time::Instant::now() + ALL_HISTORY_WITHIN;
         let mut asked = JoinSet::new();
         for earlier in all {
             let selector = format!("{}?{}", keys.history(&earlier.name), earlier.query);
-            let bus = self.bus.clone();
+            let (bus, places) = (self.bus.clone(), places.clone());
             asked.spawn(async move {
+                let place = tokio::time::timeout_at(end, places.acquire_owned()).await;
+                let Ok(Ok(_place)) = place else {
+                    return (earlier, Vec::new());
+                };
                 let answers = bus.ask::<HistorySpan>(&selector, HISTORY_WITHIN).await;
-                let answers = answers
-                    .inspect_err(|error| warn!(%error, "cannot query the history"))
-                    .ok()?;
-                // If several services reply, take the reply with the most rows.
-                let most = answers
-                    .into_iter()
-                    .map(|(_, span)| span)
-                    .max_by_key(|span| span.rows.time_s.len());
-                Some((earlier, most?))
+                let answers = answers.unwrap_or_else(|error| {
+                    warn!(%error, "cannot query the history");
+                    Vec::new()
+                });
+                (earlier, answers)
             });
         }
-        asked.join_all().await.into_iter().flatten().collect()
+        let mut replies = HistoryReplies::default();
+        for (earlier, answers) in asked.join_all().await {
+            // A service that has disappeared since the request was read counts as late.
+            replies.is_incomplete |= answers.len() < services.max(1);
+            let spans = answers.into_iter().map(|(_, span)| span);
+            // If several services reply, take the reply with the most rows.
+            let most = spans.max_by_key(|span| span.rows.time_s.len());
+            replies.spans.extend(most.map(|most| (earlier, most)));
+        }
+        replies
     }
 
     /// Queries the history service for the alerts, acknowledgements and events of a period. Returns

@@ -4,8 +4,8 @@ use futures_util::StreamExt;
 use serde_json::{Value, json};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Annotation, AnnotationEffect, AnnotationKind, Bus,
-    BusConfig, CredibleInterval, DisplayPublisher, Event, EventKind, Keys, LatestPublisher,
-    LossDisplay, Name, ParameterDisplay, time_ns,
+    BusConfig, CredibleInterval, DisplayPublisher, Event, EventKind, HistoryRows, HistorySpan,
+    Keys, LatestPublisher, LossDisplay, Name, ParameterDisplay, time_ns,
 };
 use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
 use spandrel_service::{EventPublisher, Monitored, Service as _, ServiceInstance};
@@ -353,6 +353,74 @@ async fn history_is_served_as_json_and_csv() {
     let lines: Vec<&str> = csv.body.lines().collect();
     assert_eq!((lines.len(), &lines[1][..7]), (4, "3,0.97,"));
     site.end().await;
+}
+
+/// Regression test: replies that came too late were left out, so that a comparison of two ranges
+/// without data was a comparison without a difference.
+#[tokio::test(flavor = "multi_thread")]
+async fn history_states_that_a_service_has_not_replied() {
+    let site = Site::start().await;
+    let both = "/api/structures/demo/history?series=parameter/storey-2,loss/storey-2&from=0&to=5";
+    assert_eq!(site.get(both).await.json()["incomplete"], false);
+    let questions = site.bus.questions(site.keys.all_history(), 64).await;
+    let questions = questions.unwrap();
+    let key = site.keys.history(&name("storey-2"));
+    // This service replies to queries for the parameter only.
+    let answering = tokio::spawn(async move {
+        while let Some(question) = questions.next().await {
+            if question.parameters().contains("kind=parameter") {
+                question.answer(&key, &past()).await.unwrap();
+            }
+        }
+    });
+    let instance = ServiceInstance::new(&site.bus, name("history"));
+    let history = spandrel_bus::Service::History;
+    let token = instance.announce(history, &site.keys).await.unwrap();
+    let replied = async {
+        loop {
+            let span = site.get(both).await.json();
+            if span["incomplete"] == true && span["series"][0]["data"][0] == json!([1.0]) {
+                return;
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, replied)
+        .await
+        .expect("the reply for the parameter, and none for its loss");
+    let one = "/api/structures/demo/history?series=parameter/storey-2&from=0&to=5";
+    let span = site.get(one).await.json();
+    assert_eq!(span["incomplete"], false, "{span}");
+    site.get(&format!("{both}&format=csv"))
+        .await
+        .expect_refused(503, "the history did not answer in time");
+    assert_eq!(site.get(&format!("{one}&format=csv")).await.status, 200);
+    drop(token);
+    answering.abort();
+    site.end().await;
+}
+
+/// One value of storey 2, as the history replies.
+fn past() -> HistorySpan {
+    HistorySpan {
+        structure: name("demo"),
+        kind: "parameter".to_owned(),
+        name: "storey-2".to_owned(),
+        resolution_s: None,
+        kept_from_s: Some(1.0),
+        rows: HistoryRows {
+            time_s: vec![1.0],
+            count: vec![1],
+            mean: vec![0.9],
+            std: vec![0.02],
+            spread: vec![0.0],
+            least: vec![0.9],
+            largest: vec![0.9],
+            low: vec![0.86],
+            high: vec![0.94],
+            probability_of_loss: vec![0.0],
+        },
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
