@@ -92,6 +92,51 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
+/// Regression test: the parts and the fit of a structure without data kept their green ticks.
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_is_normal_without_data() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser
+        .open(&format!("{}#/structure/demo", demo.page))
+        .await;
+    let rows = "document.querySelectorAll('#panel-now .parameters tbody tr[data-level=normal]')";
+    browser
+        .wait("a normal part", &format!("{rows}.length >= 4"))
+        .await;
+    browser.wait("the end of the demo", ENDED).await;
+    browser
+        .wait("no normal part", &format!("{rows}.length === 0"))
+        .await;
+    let words = "[...document.querySelectorAll('#panel-now .parameters tbody tr')].filter((row) \
+                 => row.children[1].textContent === '○ blind' && \
+                 row.children[4].textContent.startsWith('last known: ')).length";
+    browser.wait("blind parts", &format!("{words} >= 4")).await;
+    let ticks = "document.querySelector('.structure').innerText.includes('✓')";
+    assert_eq!(browser.evaluate(ticks).await, false);
+    let coloured = "document.querySelectorAll('.drawing .part[data-step=\"0\"]').length";
+    assert_eq!(browser.evaluate(coloured).await, 0);
+    browser.screenshot("without-data").await;
+    browser
+        .evaluate("location.hash = '#/structure/demo/model'")
+        .await;
+    browser
+        .wait(
+            "the last known fit",
+            "document.querySelector('#panel-model .fit')?.textContent.includes('last known')",
+        )
+        .await;
+    assert_eq!(
+        browser
+            .evaluate("document.querySelector('#panel-model .fit').dataset.level")
+            .await,
+        "learning"
+    );
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+}
+
 /// Regression test: a print left plots blank that had not been in the window. It left a page empty
 /// before a long table, and printed tables as on a phone.
 #[tokio::test(flavor = "multi_thread")]

@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, changedAt, levelOf, natural, place, rememberFilters, revisedWords, seenWords, setSentence, time, withMinus } from "./words.js";
+import { SERVICES, STATES, canBeSeen, changedAt, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, withMinus } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement or note. */
 export const NAME_KEY = "spandrel-name";
@@ -207,9 +207,9 @@ function showNormal(element, { parameter, now }) {
 }
 
 function updateAlert(parts, alert) {
-  const state = STATES[alert.state];
+  const state = stateOf(alert);
   parts.alert = alert;
-  parts.element.dataset.level = levelOf(alert);
+  parts.element.dataset.level = state.level;
   parts.element.dataset.state = alert.state;
   setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? t("stale-the-alert-service-is-gone") : ""}`);
   setText(parts.who, `${alert.structure} / ${alert.parameter}`);

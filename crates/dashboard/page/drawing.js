@@ -3,7 +3,7 @@
 
 import { h, s, setAttribute, setText, whole } from "./dom.js";
 import { t } from "./language.js";
-import { HEALTH, STATES, STEPS, isOpen, probability, sensorName, step } from "./words.js";
+import { BLIND, HEALTH, STATES, STEPS, isBlind, isOpen, probability, sensorName, step } from "./words.js";
 
 /** Size of the drawing in its own units, and width of a drawing above the table. */
 const WIDTH = 420;
@@ -80,16 +80,19 @@ export class Drawing {
     this.element = h("figure", { class: "drawing-figure", hidden: drawing.points.length === 0 }, this.svg, key(about, this.note));
   }
 
-  /** Colours the parts and marks the sensors. A part without a decision, or whose alert is not confirmed, has no colour. */
+  /**
+   * Colours the parts and marks the sensors. A part without a decision, of which the present data say
+   * nothing, or whose alert is not confirmed, has no colour.
+   */
   update({ losses, sensors, alerts }) {
     const found = new Map();
-    const open = new Map(alerts.filter(isOpen).map(({ parameter, state }) => [parameter, state]));
+    const open = new Map(alerts.filter((alert) => isOpen(alert) || isBlind(alert)).map((alert) => [alert.parameter, isBlind(alert) ? "blind" : alert.state]));
     for (const part of this.#parts) {
       const known = part.parameters.flatMap((name) => (open.has(name) ? [] : (losses[name] ?? []))).sort((a, b) => b.probability_of_loss - a.probability_of_loss);
       const worst = known[0]?.probability_of_loss ?? null;
       const states = worst === null ? part.parameters.map((name) => open.get(name)).filter(Boolean) : [];
       const state = states.includes("unconfirmed") ? "unconfirmed" : (states[0] ?? null);
-      const told = state ? `${STATES[state].sign} ${STATES[state].word}` : probability(worst, known[0]?.rule_credibility);
+      const told = state ? wordsOf(state) : probability(worst, known[0]?.rule_credibility);
       // An alert that is not confirmed is still worth a name.
       const isFound = (worst !== null && worst >= 0.5) || state === "unconfirmed";
       found.set(part.name, { worst: state === "unconfirmed" ? 1 : worst, told });
@@ -352,10 +355,16 @@ function ground(from, to, y) {
   return Array.from({ length: count }, (_, index) => s("path", { class: "ground", d: `M${from + 12 * index + 8} ${y}l-7 8` }));
 }
 
+/** Returns sign and word of the state of a part without a finding. */
+function wordsOf(state) {
+  const { sign, word } = state === "blind" ? BLIND : STATES[state];
+  return `${sign} ${word}`;
+}
+
 function key({ drawing: { sensors }, has_model: hasModel, is_filtered: isFiltered }, note) {
   const swatch = (index, open = null) => s("svg", { class: "swatch", viewBox: "0 0 22 14", "aria-hidden": "true" }, s("g", { class: "part", "data-step": index, "data-open": open }, s("rect", { class: "fill", width: 22, height: 14 }), s("rect", { class: "hatch", width: 22, height: 14 })));
   const steps = STEPS.map((one, index) => h("li", {}, swatch(index), one.text));
-  for (const state of ["undecided", "unconfirmed"]) steps.push(h("li", {}, swatch("", state), `${STATES[state].sign} ${STATES[state].word}`));
+  for (const state of ["undecided", "unconfirmed", "blind"]) steps.push(h("li", {}, swatch("", state), wordsOf(state)));
   const apart = sensors.filter((sensor) => sensor.point === null).map((sensor) => sensor.channel);
   return h(
     "figcaption",

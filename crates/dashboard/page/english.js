@@ -216,6 +216,7 @@ export const english = {
   "last-epoch": "Last epoch {0}.",
   "last-hour": "Last hour",
   "last-hour-and-the-hour-before": "Last hour and the hour before",
+  "last-known": "last known: {0}",
   "last-message": "Last message",
   "last-month": "Last month",
   "last-sample": "Last sample",

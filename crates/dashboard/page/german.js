@@ -216,6 +216,7 @@ export const german = {
   "last-epoch": "Letzte Epoche {0}.",
   "last-hour": "Letzte Stunde",
   "last-hour-and-the-hour-before": "Letzte Stunde und die Stunde davor",
+  "last-known": "zuletzt bekannt: {0}",
   "last-message": "Letzte Nachricht",
   "last-month": "Letzter Monat",
   "last-sample": "Letzter Messwert",

@@ -5,7 +5,7 @@ import { PlotGroup } from "./groups.js";
 import { t } from "./language.js";
 import { classPlot, consistencyPlot, innovationPlot, noisePlot } from "./plots.js";
 import { Scale } from "./span.js";
-import { FITS, SERVICES, setSentence, wordOf } from "./words.js";
+import { BLIND, FITS, SERVICES, setSentence, wordOf } from "./words.js";
 
 /** Number of plots of a group above which they are folded away. */
 const MOST_FULL = 6;
@@ -72,8 +72,9 @@ export class ModelTab {
     this.none.hidden = this.plots.length > 0;
     this.fit.hidden = !fit;
     if (!fit) return;
-    this.fit.dataset.level = FITS[fit.verdict].level;
-    setText(this.verdict, t("fit-verdict", FITS[fit.verdict].sign, wordOf(fit.verdict)));
+    const { sign, level } = fit.past ? { sign: BLIND.sign, level: "learning" } : FITS[fit.verdict];
+    this.fit.dataset.level = level;
+    setText(this.verdict, t("fit-verdict", sign, fit.past ? t("last-known", wordOf(fit.verdict)) : wordOf(fit.verdict)));
     setSentence(this.reasons, `${fit.words}.`);
   }
 }

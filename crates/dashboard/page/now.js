@@ -1,12 +1,12 @@
 // The tab of the present state: the drawing, the parts, and the part that needs attention most.
 
-import { h, keyed, setText } from "./dom.js";
+import { h, keyed, setAttribute, setText } from "./dom.js";
 import { Drawing } from "./drawing.js";
 import { PlotGroup } from "./groups.js";
-import { t } from "./language.js";
+import { language, t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
+import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isBlind, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -81,7 +81,8 @@ export class NowTab {
       const alert = standing.alerts.find((alert) => alert.parameter === parameter.name);
       const state = alert ? stateOf(alert) : null;
       part.element.dataset.level = state?.level ?? "learning";
-      part.state.title = alert?.unwatched?.why ?? "";
+      setAttribute(part.cell, "title", alert?.unwatched?.why || null);
+      setAttribute(part.cell, "lang", alert?.unwatched?.why ? SERVICES : null);
       setText(part.state, state ? `${state.sign} ${state.word}${alert.stale ? t("stale") : ""}` : !this.page.about.is_filtered ? notJudged(this.page.about) : this.ruled.has(parameter.name) ? t("no-decision-yet") : NO_RULE);
       const loss = standing.losses[parameter.name];
       // Without a finding, the interval of the filter would contradict the probability beside it.
@@ -91,17 +92,18 @@ export class NowTab {
       setText(part.interval, own ?? shown ? t("range", ratio(low), ratio(high)) : "–");
       const p = parameter.stiffness ? loss?.probability_of_loss : null;
       const told = p === null ? NOT_STIFFNESS : probability(p, loss?.rule_credibility);
-      // The number of a part without a decision is no finding, so it has no bar.
-      const isFound = p != null && !isOpen(alert);
-      setText(part.text, p == null ? told : openWords(alert, told));
+      // The number of a part without a decision is no finding, so it has no bar. Nor has one of the past.
+      const isFound = p != null && !isOpen(alert) && !isBlind(alert);
+      setText(part.text, p == null ? told : isBlind(alert) ? t("last-known", told) : openWords(alert, told));
       part.bar.hidden = !isFound;
       part.bar.dataset.step = step(p) ?? "";
       part.bar.style.setProperty("--share", p ?? 0);
     };
     const make = (parameter) => {
-      const [state, mean, interval, text, bar] = [h("td"), h("td", { class: "number" }), h("td", { class: "number" }), h("span", { class: "number" }), h("span", { class: "meter", "aria-hidden": "true" })];
-      const element = h("tr", {}, h("th", { scope: "row" }, h("a", { href: place(this.page.name, parameter.name) }, parameter.name)), state, mean, interval, h("td", {}, bar, text));
-      return { element, state, mean, interval, text, bar };
+      const [state, mean, interval, text, bar] = [h("span", { lang: language }), h("td", { class: "number" }), h("td", { class: "number" }), h("span", { class: "number" }), h("span", { class: "meter", "aria-hidden": "true" })];
+      const cell = h("td", {}, state);
+      const element = h("tr", {}, h("th", { scope: "row" }, h("a", { href: place(this.page.name, parameter.name) }, parameter.name)), cell, mean, interval, h("td", {}, bar, text));
+      return { element, cell, state, mean, interval, text, bar };
     };
     // Trouble first, the most severe before the others. Otherwise the order of the structure file, because
     // the order of sound parts changes constantly and means nothing.

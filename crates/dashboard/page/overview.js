@@ -213,7 +213,7 @@ function updateCard({ element, fields, sign, word, sentence, now, also, seen, st
   // Without a filter, no part is judged within seconds.
   for (const key of ["worst", "probability", "fit"]) fields[key].parentElement.hidden = !structure.is_filtered;
   setText(fields.monitoring, structure.is_filtered ? wordOf(structure.monitoring ?? "unknown") : t("only-natural-frequencies"));
-  setText(fields.fit, fitWord(structure.fit));
+  setText(fields.fit, fitWord(structure));
   setText(fields.lag.previousElementSibling, structure.replayed ? t("origin") : t("lag"));
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.

@@ -238,7 +238,7 @@ function section({ about, overview, standing, changes, events: known, log }, { f
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
   const series = isLate ? null : found;
   const { sensors } = overview;
-  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.is_filtered ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview.fit))] : [overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only")])];
+  const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.is_filtered ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview))] : [overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only")])];
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
   const none = (text) => h("p", { class: "group-text" }, text);
   // Without the history, an empty list is not known to be complete.

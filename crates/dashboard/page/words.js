@@ -7,6 +7,9 @@ export * from "./address.js";
 export { SERVICES, wordOf } from "./language.js";
 export * from "./time.js";
 
+/** Silence after which data are not of the present (s). The server has the same limit. */
+const STALE_S = 3;
+
 /** Names and signs of the levels of attention. Sign and word distinguish them without colour. */
 export const LEVELS = {
   alarm: { sign: "▲", word: t("level-alarm") },
@@ -114,15 +117,23 @@ export const NODES = {
 };
 
 /** Returns the level of an alert. An acknowledged alert is not an alarm. */
-export function levelOf(alert) {
+function levelOf(alert) {
   return alert.state === "unconfirmed" && alert.acknowledged_by ? "notice" : STATES[alert.state].level;
 }
+
+/** Sign and word of a part of which the present data say nothing. */
+export const BLIND = { sign: "○", word: wordOf("blind") };
 
 /** Returns sign, word and level of a parameter: normal only if damage would be noticed. */
 export function stateOf(alert) {
   const { sign, word } = STATES[alert.state];
   if (alert.state === "normal" && alert.unwatched) return { sign: "○", word: wordOf(alert.unwatched.state), level: "warning" };
   return { sign, word, level: levelOf(alert) };
+}
+
+/** Returns whether the present data say nothing about a part that was normal. */
+export function isBlind(alert) {
+  return alert?.state === "normal" && alert.unwatched?.state === "blind";
 }
 
 /** Returns whether the alert of a part has no decision, so that its probability of loss means nothing yet. */
@@ -184,7 +195,9 @@ export function canBeSeen(alert) {
 }
 
 /** Returns the verdict on the fit in one word. */
-export function fitWord(verdict) {
+export function fitWord({ fit: verdict, ended, age_s }) {
+  // A verdict on the past has no sign of the present.
+  if (verdict && (ended || age_s === null || age_s > STALE_S)) return t("last-known", wordOf(verdict));
   return verdict ? `${FITS[verdict].sign}\u00a0${wordOf(verdict)}` : t("not-judged");
 }
 

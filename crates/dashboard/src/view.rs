@@ -59,7 +59,7 @@ pub(crate) struct AlertView<'s> {
     /// Loss by the newest value, if that is newer than the sentence of the alert.
     pub(crate) now: Option<String>,
     /// Why the present data do not reveal damage of the parameter, if so.
-    pub(crate) unwatched: Option<&'s ParameterMonitoring>,
+    pub(crate) unwatched: Option<ParameterMonitoring>,
     /// Whom to call; may be empty.
     pub(crate) contact: &'s str,
     /// Address of the instructions.
@@ -93,6 +93,8 @@ struct FitView<'s> {
     #[serde(flatten)]
     display: &'s FitDisplay,
     words: String,
+    /// Whether no new data arrive, so that the verdict is the last known one.
+    past: bool,
 }
 
 /// A service and its last status.
@@ -137,6 +139,7 @@ impl<'s> Standing<'s> {
             fit: store.state.fit.as_ref().map(|display| FitView {
                 display,
                 words: display.words(),
+                past: store.is_stale(),
             }),
             training: store.phase == Some(Phase::Training),
             alerts: standing_alerts(store).collect(),

@@ -13,6 +13,9 @@ use std::time::Duration;
 /// Silence after which data is stale. Display topics are published at 10 Hz, the status at 1 Hz.
 pub const STALE_AFTER: Duration = Duration::from_secs(3);
 
+/// Reason of a parameter without new data that no service reports as blind.
+const NO_NEW_DATA: &str = "no new data arrive";
+
 /// The present state of one structure: the newest message of each kind, and its age.
 ///
 /// Each map has room for [`MAX_CHANNELS`] names. Messages with further names are counted and
@@ -367,11 +370,31 @@ impl StructureState {
     }
 
     /// Returns the report on a parameter if the present data do not reveal its damage.
+    ///
+    /// No parameter of a blind structure is watched, whatever the report on the parameter states.
+    /// Without new data, none is watched even if nothing reports it.
     #[must_use]
-    pub fn unwatched(&self, parameter: &Name) -> Option<&ParameterMonitoring> {
-        let mut parameters = self.monitoring()?.parameters.iter();
-        let of_it = parameters.find(|of| of.parameter == *parameter)?;
-        (of_it.state != MonitoringState::Watching).then_some(of_it)
+    pub fn unwatched(&self, parameter: &Name) -> Option<ParameterMonitoring> {
+        let display = self.monitoring();
+        let mut parameters = display.into_iter().flat_map(|display| &display.parameters);
+        let is_it = |of: &&ParameterMonitoring| {
+            of.parameter == *parameter && of.state != MonitoringState::Watching
+        };
+        if let Some(of_it) = parameters.find(is_it) {
+            return Some(of_it.clone());
+        }
+        let blind = display.filter(|display| display.state == MonitoringState::Blind);
+        let why = match blind {
+            Some(display) => display.reasons.first().cloned(),
+            None if self.stale_for().is_some() => Some(NO_NEW_DATA.to_owned()),
+            None => return None,
+        };
+        Some(ParameterMonitoring {
+            parameter: parameter.clone(),
+            state: MonitoringState::Blind,
+            why,
+            sustained_std: None,
+        })
     }
 
     /// Returns the time since the last status of an instance, if it exceeds [`STALE_AFTER`].

@@ -1,6 +1,8 @@
 use super::*;
 use crate::testing::{alert, at, ingested, loss, name, parameter, present, status};
-use spandrel_bus::{AlertState, MAX_CHANNELS, Service};
+use spandrel_bus::{
+    AlertState, MAX_CHANNELS, MonitoringDisplay, MonitoringState, ParameterMonitoring, Service,
+};
 
 /// Returns the state after these inputs.
 fn after(inputs: impl IntoIterator<Item = Input>) -> Structures {
@@ -65,6 +67,57 @@ fn data_are_stale_after_three_seconds_without_a_value() {
     assert_eq!(stale_for_s(&structures), None);
     changes(&mut structures, at(22));
     assert_eq!(stale_for_s(&structures), Some(12));
+}
+
+fn monitoring(state: MonitoringState, of_storey_2: MonitoringState, reasons: &[&str]) -> Input {
+    let parameters = [
+        ("storey-1", MonitoringState::Watching),
+        ("storey-2", of_storey_2),
+    ];
+    let parameters = parameters.map(|(parameter, state)| ParameterMonitoring {
+        parameter: name(parameter),
+        state,
+        why: (state != MonitoringState::Watching).then(|| "too few samples".to_owned()),
+        sustained_std: None,
+    });
+    Input::Monitoring(MonitoringDisplay {
+        structure: name("tower"),
+        time_ns: 0,
+        measured_ns: None,
+        state,
+        since_ns: 0,
+        reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect(),
+        parameters: parameters.into(),
+        channels: vec![],
+    })
+}
+
+/// Regression test: the parts of a structure without data were normal, because only the structure
+/// as a whole was blind.
+#[test]
+fn no_part_is_watched_without_new_data_or_in_a_blind_structure() {
+    use MonitoringState::{Blind, Degraded, Watching};
+    let why = |structures: &Structures, parameter: &str| {
+        let unwatched = tower(structures).unwatched(&name(parameter));
+        unwatched.map(|of| (of.state, of.why.unwrap_or_default()))
+    };
+    let told = |state, why: &str| Some((state, why.to_owned()));
+    let value = || Input::Parameter(parameter("storey-1", 0));
+    let mut structures = after([at(10), value(), monitoring(Watching, Watching, &[])]);
+    assert_eq!(why(&structures, "storey-1"), None);
+    let degraded = monitoring(Degraded, Degraded, &["storey-2: too few samples"]);
+    changes(&mut structures, degraded);
+    assert_eq!(why(&structures, "storey-1"), None);
+    let few = told(Degraded, "too few samples");
+    assert_eq!(why(&structures, "storey-2"), few);
+    let ended = "the samples have ended";
+    changes(&mut structures, monitoring(Blind, Watching, &[ended]));
+    for parameter in ["storey-1", "storey-2"] {
+        assert_eq!(why(&structures, parameter), told(Blind, ended));
+    }
+    changes(&mut structures, at(20));
+    let unreported = told(Blind, "no new data arrive");
+    assert_eq!(why(&structures, "storey-1"), unreported);
 }
 
 /// Regression test: for three seconds after a restart of all services, values of disconnected
