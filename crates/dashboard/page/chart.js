@@ -4,7 +4,7 @@
 import { s } from "./dom.js";
 import { fixed } from "./language.js";
 import { flags } from "./marks.js";
-import { timeTicks } from "./plot.js";
+import { HOLE_STEPS, timeTicks } from "./plot.js";
 
 /** Size of the drawing, and room around the plotted area, in its own units. */
 const [WIDTH, HEIGHT] = [360, 150];
@@ -15,8 +15,6 @@ const ROOM = { left: 44, right: 8, bottom: 30, top: 8 };
 const [ROW, CHARACTER] = [11, 5.2];
 /** Distance of the words of a threshold below its line. Above it are the estimates of sound parts. */
 const BOUND_BELOW = 10;
-/** Minimum gap, in usual steps, that a line does not cross. A busy service publishes every tenth value. */
-const HOLE_STEPS = 12;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
 const HALF_95 = 1.96;
 /** Share of the widest intervals, as at the start, that a scale leaves out. */

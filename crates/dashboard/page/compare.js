@@ -3,7 +3,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { Plot, css, look, padded } from "./plot.js";
+import { HOLE_STEPS, Plot, css, look, padded } from "./plot.js";
 import { lateNotice } from "./ranges.js";
 import { Scale } from "./span.js";
 import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfField, zone } from "./words.js";
@@ -17,8 +17,6 @@ const SERIES_PER_REQUEST = 200;
 const MOST_PLOTS = 6;
 /** Half-width of the 95 % interval of a Gaussian, in standard deviations. */
 const HALF_95 = 1.96;
-/** Minimum gap, in usual steps, that a line does not cross. A busy service publishes every tenth value. */
-const HOLE_STEPS = 12;
 const DAY_S = 86400;
 /** Ranges that a button selects: names and lengths (s) of two ranges, the second up to the newest data. */
 const USUAL = [

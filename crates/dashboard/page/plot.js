@@ -17,8 +17,8 @@ const HEIGHT = 220;
 const WORD_ROW = 15;
 const WORD_SIZE = 12;
 const TOP_ROOM = 8;
-/** Minimum gap in time, in usual steps, that is drawn as a gap. A busy service publishes every tenth value. */
-const HOLE_STEPS = 12;
+/** Minimum gap in time, in usual steps, that no line crosses. A busy service publishes every tenth value. */
+export const HOLE_STEPS = 12;
 
 /** Width of a character of the y axis (px). */
 const CHARACTER = 7;

@@ -3,7 +3,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { css } from "./plot.js";
+import { HOLE_STEPS, css } from "./plot.js";
 import { HEALTH, clock, clockWords, levelWords, number, setSentence, time, unit } from "./words.js";
 import { WaveformPoints } from "./waveforms.js";
 
@@ -15,8 +15,6 @@ const SERIES_PER_REQUEST = 200;
 const [DRAW_EVERY_MS, DRAW_AT_LEAST_EVERY_MS] = [1000, 10_000];
 /** Shortest interval between two updates of the figures (ms). A message comes twice a second. */
 const UPDATE_EVERY_MS = 900;
-/** Minimum gap, in usual steps, that a waveform does not cross. */
-const HOLE_STEPS = 12;
 /** Margin of the scale above and below the data, as a share. */
 const ROOM = 0.05;
 
