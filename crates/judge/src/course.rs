@@ -433,6 +433,8 @@ impl Judging {
         };
         let mut change = change(present, known.before, per_stiffness, found_day);
         let mut raised = known.raised;
+        let remains = change.loss / (0.5 * (raised[0] + raised[1]));
+        change.may_have_recovered = change.interval[0] <= 0.0 && remains < 0.5;
         if known.finding.is_alarm() && change.interval[0] > raised[1] {
             change.found_day = frame.day;
             raised = change.interval;
@@ -495,6 +497,7 @@ fn change(present: StepEstimate, before: f64, per_stiffness: f64, found_day: i64
         loss: loss(size, per_stiffness),
         interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
             .map(|quantile| loss(size + quantile * present.std, per_stiffness)),
+        may_have_recovered: false,
     }
 }
 

@@ -132,6 +132,8 @@ pub struct Change {
     /// 95 % interval of the loss, `[low, high]`, as shares of the stiffness. Negative values are a
     /// gain.
     pub interval: [f64; 2],
+    /// Whether the interval contains zero, and less than half of the loss that was found remains.
+    pub may_have_recovered: bool,
 }
 
 /// Expected value of a day, and how far the measured value is from it.
@@ -195,7 +197,7 @@ impl Judgement {
             let since = date(change.since_day);
             let loss = 100.0 * change.loss;
             return match finding {
-                Finding::LastingLoss(_) if low <= 0.0 => format!(
+                Finding::LastingLoss(_) if change.may_have_recovered => format!(
                     "{name} lost stiffness, most probably since {since}, and may have recovered: \
                      its present loss is {loss:.1} % [{low:.1}, {high:.1}]."
                 ),
@@ -265,6 +267,7 @@ mod tests {
             interval: [loss - 0.01, loss + 0.01],
             since_day: 20_385, // 2025-10-24: date -u -d @$((86400 * 20385))
             found_day: 20_389,
+            may_have_recovered: false,
         };
         let sentence = |finding, day| {
             let (quantity, state) = ("bending".to_owned(), State::Judged);
@@ -281,6 +284,7 @@ mod tests {
         };
         let recovered = Change {
             interval: [-0.01, 0.02],
+            may_have_recovered: true,
             ..change(0.005)
         };
         assert_eq!(

@@ -260,7 +260,7 @@ fn recordings_of_the_same_hours_count_as_one_event() {
     const HOUR_NS: i64 = 3_600_000_000_000;
     let last = |hours: &[i64]| {
         let mut sequence = Sequence::new(SETTINGS).unwrap();
-        for (index, y) in [0.0, 0.02, -0.02, 0.01, 0.03].into_iter().enumerate() {
+        for (index, y) in [0.0, 0.15, -0.12, 0.1, -0.1].into_iter().enumerate() {
             sequence.push(weak(y), Some(index as i64 * 1_000 * HOUR_NS));
         }
         let start_ns = 5_000 * HOUR_NS;
@@ -272,9 +272,12 @@ fn recordings_of_the_same_hours_count_as_one_event() {
     };
     assert_eq!(last(&[0, 1, 11]).later, 1);
     assert_eq!(last(&[0, 1, 24, 168]).later, 3);
-    let (alone, repeated, days) = (last(&[]), last(&[0, 1, 11]), last(&[24, 48, 168]));
     // The recordings are more precise together, but the scatter between events remains.
-    assert!(
-        repeated.probability - alone.probability < 0.5 * (days.probability - alone.probability)
-    );
+    let width = |hours: &[i64]| {
+        let interval = last(hours).interval;
+        interval.high - interval.low
+    };
+    let (alone, repeated, days) = (width(&[]), width(&[0, 1, 11]), width(&[24, 48, 168]));
+    assert!(repeated > 0.95 * alone, "{repeated} {alone}");
+    assert!(days < 0.85 * alone, "{days} {alone}");
 }
