@@ -154,6 +154,7 @@ pub(crate) fn change(finding: &Finding) -> LastingChange {
         since_day,
         loss,
         interval,
+        ..
     } = *finding.change();
     LastingChange {
         kind: match finding {
