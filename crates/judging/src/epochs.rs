@@ -6,6 +6,9 @@
 //! judgement concerns ln(value). An estimate counts only if the present data reveal damage of its
 //! parameter, and if it is known whether its samples are measured.
 //!
+//! An estimate or mode that does not count opens its epoch nevertheless. An epoch without any value
+//! lets the judge state that the day has none.
+//!
 //! The natural frequency of a declared mode counts for the epoch in which its own epoch ends. It
 //! counts also while the monitoring is blind, because it depends on no model. A mode that is
 //! paired, or at whose frequency a machine runs, does not count.
@@ -176,6 +179,11 @@ impl Epochs {
         }
     }
 
+    /// Returns the length of an epoch (ns).
+    pub(crate) fn length_ns(&self) -> i64 {
+        self.sources.length_ns
+    }
+
     /// Returns the time of the newest estimate (ns since 1970-01-01 UTC).
     pub(crate) fn newest_ns(&self) -> Option<i64> {
         self.newest_ns
@@ -235,6 +243,7 @@ impl Epochs {
         }
         self.newest_ns = self.newest_ns.max(Some(display.time_ns));
         self.close_before(number.saturating_sub(1), closed);
+        self.open(number);
         let is_measured = self.is_measured.ok_or("estimates-of-unknown-origin")?;
         if !self.sources.is_updated && !self.is_sighted(&display.parameter) {
             return Err("blind-estimates");
@@ -268,6 +277,7 @@ impl Epochs {
         }
         self.newest_ns = self.newest_ns.max(Some(display.time_ns));
         self.close_before(number.saturating_sub(1), closed);
+        self.open(number);
         let Some(estimate) = &display.estimate else {
             return Ok(()); // missing or lost
         };
@@ -288,13 +298,18 @@ impl Epochs {
         quantities.position(|known| known.as_ref() == Some(source))
     }
 
-    /// Adds a value with its standard deviation to an epoch.
-    fn add(&mut self, number: i64, index: usize, is_measured: bool, [value, std]: [f64; 2]) {
+    /// Returns an epoch. Without values, it is neither replayed nor simulated.
+    fn open(&mut self, number: i64) -> &mut Open {
         let quantities = self.sources.quantities.len();
-        let open = self.open.entry(number).or_insert_with(|| Open {
+        self.open.entry(number).or_insert_with(|| Open {
             quantities: vec![Sums::default(); quantities],
             is_measured: true,
-        });
+        })
+    }
+
+    /// Adds a value with its standard deviation to an epoch.
+    fn add(&mut self, number: i64, index: usize, is_measured: bool, [value, std]: [f64; 2]) {
+        let open = self.open(number);
         open.is_measured &= is_measured;
         if let Some(sums) = open.quantities.get_mut(index) {
             sums.add(value, std);

@@ -5,10 +5,15 @@ use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
 use spandrel_bus::{
     Annotation, AnnotationEffect, BudgetSpent, ChangeSeen, Event, EventKind, JudgementCourse,
-    JudgementDisplay, LastingChange, Name, SpanQuery,
+    JudgementDisplay, JudgementState, LastingChange, Name, SpanQuery,
 };
-use spandrel_judge::{Budget, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State};
+use spandrel_judge::{
+    Budget, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State, date,
+};
 use spandrel_structure::JudgePlan;
+
+/// Age of the last epoch from which a quantity has no statement (ns).
+const DAY_NS: i64 = 86_400_000_000_000;
 
 /// The judge of one structure, and its judgements.
 #[derive(Debug, Clone)]
@@ -265,6 +270,25 @@ pub fn new_reference(annotation: &Annotation, settings: &Settings) -> Option<New
         time_s: ClosedEpoch::time_s(annotation.from_ns),
         quantity,
     })
+}
+
+/// Withdraws a judgement at a time (ns since 1970-01-01 UTC) if its last epoch is older than a day:
+/// without epochs, no day ends, so that the last judgement would remain.
+///
+/// A replay or simulation may have any time.
+pub(crate) fn withdraw_old(display: &mut JudgementDisplay, time_ns: i64) {
+    let Some(epoch_ns) = display.epoch_ns.filter(|_| display.measured) else {
+        return;
+    };
+    if time_ns.saturating_sub(epoch_ns) <= DAY_NS {
+        return;
+    }
+    let since = date(epoch_ns.div_euclid(DAY_NS));
+    display.state = JudgementState::NoStatement;
+    display.sentence = match display.change {
+        Some(_) => format!("{} It has no value since {since}.", display.sentence),
+        None => format!("{} has no value since {since}.", display.quantity),
+    };
 }
 
 fn budget_spent(spent: Spent) -> BudgetSpent {

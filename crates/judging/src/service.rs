@@ -3,7 +3,7 @@
 use crate::bench::{Bench, Saved};
 use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, QuantitySource, Sources};
 use crate::error::JudgingError;
-use crate::judging::{Judging, name, quantity_names};
+use crate::judging::{Judging, name, quantity_names, withdraw_old};
 use spandrel_bus::{
     Annotation, BoxedFuture, DisplayPublisher, Event, EventKind, JudgementDisplay, KeyFamily, Keys,
     LiveToken, LiveWatch, Name, Pace, Question, Questions, Service, SpanQuery, Subscription,
@@ -37,6 +37,10 @@ const GATHER_EVERY: Duration = Duration::from_millis(50);
 /// Interval at which each state is published again, for those who have subscribed meanwhile.
 const REPEAT_EVERY: Duration = Duration::from_secs(5);
 
+/// Number of epochs without any closed one after which a judgement can be too old. A restart has
+/// this time to receive the first values.
+const SILENT_EPOCHS: u32 = 2;
+
 /// Capacities of the queues for queries and for annotations.
 const QUESTIONS_WAITING: usize = 64;
 const ANNOTATIONS_WAITING: usize = 64;
@@ -67,6 +71,8 @@ pub struct JudgeService {
     /// Whether the samples are measured. It remains while no node is present.
     is_measured: Option<bool>,
     epochs: Epochs,
+    /// Time from `started` to the last closed epoch.
+    closed_at: Duration,
     /// `None` only while another thread judges.
     bench: Option<Bench>,
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
@@ -151,6 +157,7 @@ impl JudgeService {
                 clock: *clock,
                 started,
                 epochs: Epochs::new(sources, bench.judging.epoch_ns()),
+                closed_at: Duration::ZERO,
                 bench: Some(bench),
                 topics,
                 questions: bus
@@ -257,6 +264,7 @@ impl JudgeService {
             self.epochs.handle(input, &mut closed);
         }
         if !closed.is_empty() {
+            self.closed_at = self.started.elapsed();
             self.judge(closed).await?;
         }
         self.take_annotations().await
@@ -352,7 +360,13 @@ impl JudgeService {
         let Some(bench) = &self.bench else {
             return Ok(());
         };
-        for display in bench.judging.displays(self.clock.now_ns()) {
+        let time_ns = self.clock.now_ns();
+        let length = Duration::from_nanos(self.epochs.length_ns().unsigned_abs());
+        let silence = self.started.elapsed().saturating_sub(self.closed_at);
+        for mut display in bench.judging.displays(time_ns) {
+            if silence > SILENT_EPOCHS * length {
+                withdraw_old(&mut display, time_ns);
+            }
             if let Some(topic) = self.topics.get(&display.quantity) {
                 topic.put(&display).await?;
             }

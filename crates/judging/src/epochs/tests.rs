@@ -69,7 +69,7 @@ fn values_of_the_future_exclude_no_values_of_the_present() {
 }
 
 #[test]
-fn monitoring_that_is_blind_or_unknown_gives_no_epoch() {
+fn monitoring_that_is_blind_or_unknown_gives_an_epoch_without_a_value() {
     let mut unknown = Epochs::new(sources(), None);
     handle(&mut unknown, EpochInput::Measured(Some(true)));
     take(&mut unknown, 10, 1.0);
@@ -92,7 +92,7 @@ fn monitoring_that_is_blind_or_unknown_gives_no_epoch() {
     take(&mut blind_here, 10, 1.0);
     for mut epochs in [unknown, blind, silent, blind_here] {
         assert_eq!(refused(&epochs, "blind-estimates"), 1);
-        assert_eq!(take(&mut epochs, 5 * EPOCH, 1.0), []);
+        assert_eq!(first(&mut epochs).epoch.quantities, [None, None]);
     }
 }
 
@@ -106,7 +106,7 @@ fn learning_the_reference_of_a_rule_is_not_blindness() {
 }
 
 #[test]
-fn one_replayed_estimate_marks_its_epoch_and_an_unknown_origin_gives_none() {
+fn one_replayed_estimate_marks_its_epoch_and_an_unknown_origin_gives_no_value() {
     let mut epochs = sighted();
     take(&mut epochs, 10, 1.0);
     handle(&mut epochs, EpochInput::Measured(Some(false)));
@@ -116,8 +116,9 @@ fn one_replayed_estimate_marks_its_epoch_and_an_unknown_origin_gives_none() {
     assert_eq!(refused(&epochs, "estimates-of-unknown-origin"), 1);
     handle(&mut epochs, EpochInput::Measured(Some(true)));
     let closed = take(&mut epochs, 5 * EPOCH, 1.0);
-    assert_eq!(closed.len(), 1);
+    assert_eq!(closed.len(), 2);
     assert!(!closed[0].is_measured);
+    assert_eq!(closed[1].epoch.quantities, [None, None]);
 }
 
 #[test]
@@ -268,4 +269,19 @@ fn a_frequency_that_is_missing_paired_or_that_of_a_machine_does_not_count() {
     assert_eq!(closed.epoch.quantities[0], Some(2.0));
     assert_eq!(refused(&epochs, "paired-modes"), 1);
     assert_eq!(refused(&epochs, "machine-modes"), 1);
+}
+
+/// Regression: months without the mode left the last judgement in force.
+#[test]
+fn a_mode_that_is_missing_gives_epochs_without_a_value() {
+    let mut epochs = of_mode();
+    let missing = |second| ModeDisplay {
+        state: ModeState::Missing,
+        estimate: None,
+        ..frequency(second, 9.0)
+    };
+    assert_eq!(take_mode(&mut epochs, &missing(10)), []);
+    let closed = take_mode(&mut epochs, &missing(2 * EPOCH)).remove(0);
+    assert_eq!(closed.epoch.quantities, [None]);
+    assert!(closed.is_measured);
 }

@@ -55,6 +55,54 @@ fn a_loss_is_one_event_and_remains_the_word_of_the_state() {
     assert!((spent.promised - promised).abs() < 1e-12, "{spent:?}");
 }
 
+/// Regression: the last judgement remained for ever.
+#[test]
+fn a_judgement_is_withdrawn_a_day_after_the_last_epoch() {
+    let mut judging = judging();
+    run(&mut judging, 0..60, 1.0);
+    let last_ns = judging.epoch_ns().unwrap();
+    let at = |judging: &Judging, time_ns: i64| {
+        let mut display = judging.displays(time_ns).remove(0);
+        withdraw_old(&mut display, time_ns);
+        display
+    };
+    assert_eq!(at(&judging, last_ns + DAY_NS).word(), "judged");
+    let silent = at(&judging, last_ns + DAY_NS + 1);
+    assert_eq!(silent.word(), "no-statement");
+    assert_eq!(silent.sentence, "pier has no value since 1970-03-01."); // the 60th day
+    run(&mut judging, 60..90, 0.95);
+    let lost = at(&judging, 100 * DAY_NS);
+    assert_eq!(
+        (lost.word(), lost.state),
+        ("lasting-loss", JudgementState::NoStatement)
+    );
+    let end = ". It has no value since 1970-03-31.";
+    assert!(lost.sentence.ends_with(end), "{}", lost.sentence);
+    let replayed = ClosedEpoch {
+        is_measured: false,
+        ..of_day(90, 0, 1.0)
+    };
+    judging.handle(&replayed, &mut Vec::new()).unwrap();
+    let last = judging.displays(0).remove(0);
+    assert_eq!(at(&judging, 200 * DAY_NS).sentence, last.sentence);
+}
+
+/// Regression: a blind structure remained `judged`, because its epochs were left out.
+#[test]
+fn days_of_epochs_without_a_value_have_no_statement() {
+    let mut judging = judging();
+    run(&mut judging, 0..60, 1.0);
+    assert_eq!(judging.displays(0)[0].word(), "judged");
+    for day in 60..62 {
+        let mut blind = of_day(day, 0, 1.0);
+        blind.epoch.quantities = vec![None, None];
+        judging.handle(&blind, &mut Vec::new()).unwrap();
+    }
+    let display = &judging.displays(0)[0];
+    assert_eq!(display.word(), "no-statement");
+    assert_eq!(display.sentence, "pier has no value on this day.");
+}
+
 #[test]
 fn one_epoch_that_is_not_measured_marks_all_judgements() {
     let mut judging = judging();
