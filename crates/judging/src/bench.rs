@@ -5,8 +5,9 @@ use crate::configurations::{Begun, Configuration, ConfigurationLog, Place};
 use crate::epoch_log::EpochLog;
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
-use crate::judging::{Judging, new_reference};
-use spandrel_bus::{Annotation, Event};
+use crate::judging::{Judging, differences, new_reference};
+use crate::past::judge_past;
+use spandrel_bus::{Annotation, Event, JudgementDisplay};
 use spandrel_service::Clock;
 use spandrel_structure::JudgePlan;
 use std::collections::BTreeMap;
@@ -73,8 +74,28 @@ impl Bench {
             saved,
             told: Vec::new(),
         };
+        let former = bench.former();
         bench.judge_again()?;
+        if let Some(former) = former {
+            let now_ns = bench.clock.now_ns();
+            let displays = bench.judging.displays(now_ns);
+            bench.told.extend(differences(&former, &displays, now_ns));
+        }
         Ok(bench)
+    }
+
+    /// Returns the states under the last configuration, if another one is in force now. They are
+    /// those of this version of the program. `None` as well if they cannot be repeated.
+    fn former(&self) -> Option<Vec<JudgementDisplay>> {
+        let saved = self.saved.as_ref()?;
+        let last = self.configurations.as_ref()?.last_name()?;
+        let present = configuration(saved, &self.annotations).name().ok()?;
+        if present == last {
+            return None;
+        }
+        let structure = self.judging.structure();
+        let past = judge_past(&saved.folder, structure, i64::MAX, Some(last));
+        past.ok().map(|past| past.displays)
     }
 
     /// Judges the epochs of the file with all annotations.
@@ -131,19 +152,12 @@ impl Bench {
         let Some((saved, log)) = self.saved.as_ref().zip(self.log.as_mut()) else {
             return;
         };
-        let all = self.annotations.all().iter();
-        let references =
-            all.filter(|annotation| new_reference(annotation, &saved.plan.settings).is_some());
         let begun = Begun {
             time_ns: self.clock.now_ns(),
             since: log.place(),
             is_complete: log.incomplete().is_none(),
             aside: log.take_aside(),
-            configuration: Configuration {
-                version: env!("CARGO_PKG_VERSION").to_owned(),
-                judge: saved.plan.clone(),
-                references: references.cloned().collect(),
-            },
+            configuration: configuration(saved, &self.annotations),
         };
         match self.configurations.as_mut().map(|log| log.begin(begun)) {
             Some(Ok(name)) => self.judging.set_configuration(name),
@@ -212,5 +226,17 @@ impl Bench {
             *drops.entry(name).or_default() += count;
         }
         drops
+    }
+}
+
+/// Returns the configuration in force.
+fn configuration(saved: &Saved, annotations: &AnnotationLog) -> Configuration {
+    let settings = &saved.plan.settings;
+    let all = annotations.all().iter();
+    let references = all.filter(|annotation| new_reference(annotation, settings).is_some());
+    Configuration {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        judge: saved.plan.clone(),
+        references: references.cloned().collect(),
     }
 }

@@ -34,7 +34,7 @@ pub struct Configuration {
 
 impl Configuration {
     /// Returns the name, which depends on the content alone.
-    fn name(&self) -> io::Result<String> {
+    pub(crate) fn name(&self) -> io::Result<String> {
         Ok(check(&serde_json::to_string(self)?, ""))
     }
 }
@@ -162,6 +162,11 @@ impl ConfigurationLog {
         }
         self.flush();
         Ok(name)
+    }
+
+    /// Returns the name of the last configuration.
+    pub(crate) fn last_name(&self) -> Option<&str> {
+        self.last.as_ref().map(|last| last.name.as_str())
     }
 
     /// Tries to write what waits. The call blocks the thread during the write.

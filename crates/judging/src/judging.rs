@@ -94,6 +94,11 @@ impl Judging {
         self.configuration = Some(name);
     }
 
+    /// Returns the name of the structure.
+    pub(crate) fn structure(&self) -> &Name {
+        &self.structure
+    }
+
     /// Returns the event of epochs that were set aside at a wall-clock time (ns since 1970-01-01
     /// UTC).
     pub(crate) fn set_aside(&self, ahead: &Ahead, time_ns: i64) -> Event {
@@ -291,6 +296,50 @@ pub fn new_reference(annotation: &Annotation, settings: &Settings) -> Option<New
         time_s: ClosedEpoch::time_s(annotation.from_ns),
         quantity,
     })
+}
+
+/// Returns an event for each change that only one of two configurations finds in the same epochs.
+pub(crate) fn differences(
+    former: &[JudgementDisplay],
+    present: &[JudgementDisplay],
+    time_ns: i64,
+) -> Vec<Event> {
+    let kind_in = |displays: &[JudgementDisplay], quantity: &Name| {
+        let mut displays = displays.iter();
+        let display = displays.find(|display| display.quantity == *quantity)?;
+        display.change.map(|change| change.kind)
+    };
+    let configuration = present.first().and_then(|of| of.configuration.as_deref());
+    let configuration = configuration.unwrap_or("now in force");
+    let event = |display: &JudgementDisplay, what: String, why: String| Event {
+        structure: display.structure.clone(),
+        time_ns,
+        kind: EventKind::LastingChange,
+        subject: display.quantity.to_string(),
+        what,
+        why,
+    };
+    let mut events = Vec::new();
+    for display in former {
+        let lost = display.change.map(|change| change.kind);
+        if let Some(lost) = lost.filter(|lost| kind_in(present, &display.quantity) != Some(*lost)) {
+            let what = format!("{} no longer found", lost.as_str());
+            let before = display.configuration.as_deref().unwrap_or_default();
+            let why = format!(
+                "Configuration {configuration} does not find it. Configuration {before} stated: {}",
+                display.sentence
+            );
+            events.push(event(display, what, why));
+        }
+    }
+    for display in present {
+        let new = display.change.map(|change| change.kind);
+        if let Some(new) = new.filter(|new| kind_in(former, &display.quantity) != Some(*new)) {
+            let why = format!("{} Configuration {configuration}.", display.sentence);
+            events.push(event(display, new.as_str().to_owned(), why));
+        }
+    }
+    events
 }
 
 /// Withdraws a judgement at a time (ns since 1970-01-01 UTC) if its last epoch is older than a day:

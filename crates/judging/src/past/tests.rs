@@ -65,6 +65,32 @@ fn why(folder: &Path, at_ns: i64, wanted: Option<&str>) -> NoPast {
     }
 }
 
+/// Regression: a loss that had been raised vanished without a word.
+#[test]
+fn a_change_that_other_settings_do_not_find_is_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let mut service = bench(folder, &with_loss(0.02));
+    run(&mut service, 0..60);
+    for day in 60..90 {
+        for third in 0..3 {
+            service.judge(&[of_day(day, third, 0.95)]);
+        }
+    }
+    assert!(Stated::now(&service).displays[0].change.is_some());
+    let told = |loss| bench(folder, &with_loss(loss)).take_told();
+    assert_eq!(told(0.02), []);
+    let vanished = told(0.1);
+    assert_eq!(vanished.len(), 1, "{vanished:?}");
+    assert_eq!(vanished[0].what, "lasting-loss no longer found");
+    let why = &vanished[0].why;
+    assert!(why.contains(" stated: pier has lost "), "{why}");
+    assert_eq!(told(0.1), []);
+    let found = told(0.02);
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!(found[0].what, "lasting-loss");
+}
+
 #[test]
 fn each_configuration_repeats_what_it_stated_with_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
