@@ -628,6 +628,15 @@ async fn axe_finds_no_obstacle_without_data_without_a_model_and_in_a_report_of_a
         browser.evaluate(mode).await,
         json!([{"level": "normal", "cells": ["sway-1", "✓\u{a0}tracked", "1.0000 Hz", "0.9804 to 1.0196 Hz", "2.00 % ± 0.10 %", "1504.78 s", "100 %"]}, 7])
     );
+    // Regression test: a dead thermometer, which ends the judgement, looked like learning.
+    let judgements = "import('/words.js').then(({ judgementWords }) => ['judged', 'learning', \
+                      'outside-experience', 'no-statement', 'not-ready'].map((word) => \
+                      judgementWords({ word, sentence: '', change: null, seen: null, epoch_ns: \
+                      null, measured: true }).level))";
+    assert_eq!(
+        browser.evaluate(judgements).await,
+        json!(["normal", "learning", "learning", "warning", "warning"])
+    );
     browser.evaluate(&axe).await;
     for (hash, content) in [
         ("#/", ".structure-card"),

@@ -364,8 +364,11 @@ export function modeWords({ mode, time_ns: end, state, partner, estimate, presen
   return { level, cells: [mode, told, ...found, time(end / 1e9), percent(presence, 0)] };
 }
 
-/** Levels of the words of a judgement. The others say nothing about the structure. */
-const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "warning", "learned-away": "warning" };
+/**
+ * Levels of the words of a judgement. The others say nothing about the structure. Without a value, a
+ * condition or a reference, a loss would not be noticed.
+ */
+const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "warning", "learned-away": "warning", "no-statement": "warning", "not-ready": "warning" };
 
 /** Returns the level, sign and words of the judgement of a quantity. */
 export function judgementWords({ word: judged, sentence, change, seen, epoch_ns: epoch, measured }) {
