@@ -389,6 +389,7 @@ impl Epochs {
         mean.holds_ns = holds_ns.max(length_ns);
         if values.by_epoch.len() > CONDITIONS_KEPT {
             values.by_epoch.pop_first();
+            return Err("conditions-not-kept"); // those of the first epoch
         }
         Ok(())
     }

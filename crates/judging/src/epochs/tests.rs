@@ -176,7 +176,7 @@ fn estimates_of_epochs_that_are_closed_are_refused_also_after_a_restart() {
 }
 
 #[test]
-fn conditions_without_estimates_take_no_memory() {
+fn conditions_without_estimates_take_no_memory_and_are_counted() {
     let mut epochs = sighted();
     for number in 0..1000 {
         handle(
@@ -184,7 +184,9 @@ fn conditions_without_estimates_take_no_memory() {
             EpochInput::Condition(deck(number * EPOCH, 10.0)),
         );
     }
-    assert!(epochs.conditions[0].by_epoch.len() <= CONDITIONS_KEPT);
+    assert_eq!(epochs.conditions[0].by_epoch.len(), CONDITIONS_KEPT);
+    let lost = 1000 - CONDITIONS_KEPT as u64;
+    assert_eq!(refused(&epochs, "conditions-not-kept"), lost);
 }
 
 /// Returns epochs of a declared mode, which know that the samples are measured and nothing else.
