@@ -12,7 +12,7 @@ use crate::{
     ChannelColumn, ColumnMapping, RecordError, RecordReader, Row, TimeSource, TimeUnit,
     column_mapping::places_of,
     formats::table::unit_of,
-    record_time::{TimeForm, seconds_text},
+    record_time::TimeForm,
     row_limit::{MOST_COLUMNS, MOST_ROW_BYTES, RowLimit},
     source::open_file,
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
@@ -225,8 +225,8 @@ impl<'a> CsvReader<'a> {
             return Err(RecordError::TimeNotIncreasing {
                 path: self.path.clone(),
                 line,
-                found_s: seconds_text(time_ns),
-                previous_s: seconds_text(previous_ns),
+                found: form.text(time_ns),
+                previous: form.text(previous_ns),
             });
         }
         self.time_form = Some(form);

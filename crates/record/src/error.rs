@@ -339,8 +339,7 @@ pub enum RecordError {
     },
     /// A time is not later than the previous one.
     #[error(
-        "{}:{line}: time {found_s} s is not later than {previous_s} s of the previous row, must \
-         increase",
+        "{}:{line}: time {found} is not later than {previous} of the previous row, must increase",
         path.display()
     )]
     TimeNotIncreasing {
@@ -348,10 +347,10 @@ pub enum RecordError {
         path: PathBuf,
         /// Line of the row.
         line: u64,
-        /// Its time in s, as decimal text.
-        found_s: String,
-        /// The previous time in s, as decimal text.
-        previous_s: String,
+        /// Its time in the form of the file, with its unit.
+        found: String,
+        /// The previous time in the same form.
+        previous: String,
     },
     /// The file has fewer than two rows and therefore no sampling rate.
     #[error("{}: has {rows} rows, must have at least 2 to determine a sampling \

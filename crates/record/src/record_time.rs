@@ -27,6 +27,14 @@ impl TimeForm {
         iso_8601_to_ns(text).map(|_| Self::Iso8601)
     }
 
+    /// Returns a time (ns) in this form, with its unit.
+    pub(crate) fn text(self, time_ns: i64) -> String {
+        match self {
+            Self::Seconds => format!("{} s", seconds_text(time_ns)),
+            Self::Iso8601 => iso_text(time_ns),
+        }
+    }
+
     /// Parses a time of this form as ns. `unit` is the unit of a time that is a number.
     pub(crate) fn parse_ns(self, text: &str, unit: TimeUnit) -> Option<i64> {
         match self {

@@ -186,6 +186,11 @@ fn errors_name_file_line_found_and_allowed() {
         message("time,a,b\n0,1,2\n0.5,1,2\n0.5,1,2\n"),
         "hall.csv:4: time 0.5 s is not later than 0.5 s of the previous row, must increase"
     );
+    assert_eq!(
+        message("time,a,b\n2019-03-07T08:39:06Z,1,2\n2019-03-07T08:09:02Z,1,2\n"),
+        "hall.csv:3: time 2019-03-07T08:09:02Z is not later than 2019-03-07T08:39:06Z of the \
+         previous row, must increase"
+    );
 }
 
 #[test]
