@@ -97,8 +97,8 @@ pub use judge::{Judge, NewReference};
 pub use judgement::{
     Absence, Change, DayMeans, Expectation, Finding, Judgement, Novelty, State, date,
 };
-pub use reference::{Missing, YEAR_DAYS};
-pub use report::{QuantityReport, ReferenceReport};
+pub use reference::Missing;
+pub use report::{QuantityReport, ReferenceReport, season_warning};
 pub use settings::{
     Condition, ConditionKind, Implausible, PLAUSIBLE_CELSIUS, Quantity, QuantityKind, Season,
     Settings,

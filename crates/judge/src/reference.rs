@@ -363,7 +363,7 @@ fn coverage(series: Series<'_>, sigma: f64) -> f64 {
 }
 
 /// Length of a commissioning that contains all seasons (days).
-pub const YEAR_DAYS: i64 = 330;
+pub(crate) const YEAR_DAYS: i64 = 330;
 /// Share of the days in their interval.
 const INTERVAL: f64 = 0.95;
 

@@ -3,7 +3,7 @@
 use crate::calibration::Performance;
 use crate::course::Course;
 use crate::judgement::Finding;
-use crate::reference::Missing;
+use crate::reference::{Missing, YEAR_DAYS};
 use serde::{Deserialize, Serialize};
 
 /// State of the judgement of one quantity: its reference, or why there is none, and its finding.
@@ -44,6 +44,30 @@ pub struct ReferenceReport {
     pub ln_threshold: f64,
     /// Promised and achieved rate of false alarms, and detection delays.
     pub performance: Performance,
+}
+
+/// Returns the warning about a commissioning of a number of days, if it lacks a season.
+///
+/// ```
+/// assert!(spandrel_judge::season_warning(90).is_some());
+/// assert_eq!(spandrel_judge::season_warning(365), None);
+/// ```
+#[must_use]
+pub fn season_warning(days: i64) -> Option<String> {
+    (days < YEAR_DAYS).then(|| {
+        format!(
+            "the commissioning of {days} days does not contain all seasons; a seasonal change can \
+             look like a lasting one"
+        )
+    })
+}
+
+impl ReferenceReport {
+    /// Returns the length of the commissioning (days).
+    #[must_use]
+    pub fn commissioning_days(&self) -> i64 {
+        self.to_day - self.from_day + 1
+    }
 }
 
 impl QuantityReport {

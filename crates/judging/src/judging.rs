@@ -10,6 +10,7 @@ use spandrel_bus::{
 };
 use spandrel_judge::{
     Budget, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State, date,
+    season_warning,
 };
 use spandrel_structure::JudgePlan;
 
@@ -199,7 +200,9 @@ impl Judging {
             if judgement.raised {
                 let configuration = self.configuration.as_deref();
                 let time_ns = closed.middle_ns;
-                events.extend(event(&self.structure, configuration, &judgement, time_ns));
+                let told = sentence(&self.judge, &judgement);
+                let structure = &self.structure;
+                events.extend(event(structure, configuration, &judgement, told, time_ns));
             }
             quantity.course.push(judgement);
         }
@@ -231,7 +234,7 @@ impl Judging {
                 state: state(&judgement.state),
                 seen: change.and_then(|change| self.seen(&quantity.name, &change)),
                 change,
-                sentence: judgement.sentence(),
+                sentence: sentence(&self.judge, &judgement),
                 expectation: judgement.expectation.as_ref().map(expectation),
                 false_alarms_per_year,
                 spent: Some(budget_spent(spent)),
@@ -389,11 +392,28 @@ pub(crate) fn name(text: &str) -> Result<Name, JudgingError> {
     })
 }
 
+/// Returns the sentence of a judgement. If it has a finding, this contains the warning about a
+/// commissioning that lacks a season.
+fn sentence(judge: &Judge, judgement: &Judgement) -> String {
+    let told = judgement.sentence();
+    if judgement.finding.is_none() {
+        return told;
+    }
+    let mut reports = judge.report().into_iter();
+    let report = reports.find(|report| report.quantity == judgement.quantity);
+    let reference = report.and_then(|report| report.reference);
+    match reference.and_then(|reference| season_warning(reference.commissioning_days())) {
+        Some(warning) => format!("{told} But {warning}."),
+        None => told,
+    }
+}
+
 /// Returns the event of a change that was found in the epoch with this middle (ns).
 fn event(
     structure: &Name,
     configuration: Option<&str>,
     judgement: &Judgement,
+    sentence: String,
     time_ns: i64,
 ) -> Option<Event> {
     let finding = judgement.finding.as_ref()?;
@@ -404,7 +424,7 @@ fn event(
         kind: EventKind::LastingChange,
         subject: judgement.quantity.clone(),
         what: finding.name().to_owned(),
-        why: judgement.sentence() + &judged.unwrap_or_default(),
+        why: sentence + &judged.unwrap_or_default(),
     })
 }
 

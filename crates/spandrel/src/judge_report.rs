@@ -4,7 +4,7 @@ use serde_json::json;
 use spandrel_bus::CourseRow;
 use spandrel_judge::{
     Delay, Expectation, Judgement, Quantity, QuantityReport, ReferenceReport, Settings, Spent,
-    State, YEAR_DAYS, date,
+    State, date, season_warning,
 };
 use spandrel_judging::{LEAST_LN_EVIDENCE, course_row};
 use spandrel_structure::JudgedStructure;
@@ -172,20 +172,14 @@ impl fmt::Display for Summary<'_> {
                 .rfind(learns)
                 .map_or(first.day, |learnt| learnt.day);
             let commissioning_days = learnt - first.day + 1;
-            if last.finding.is_some() && commissioning_days < YEAR_DAYS {
-                writeln!(f, "  {}", short_text(commissioning_days))?;
+            if last.finding.is_some()
+                && let Some(warning) = season_warning(commissioning_days)
+            {
+                writeln!(f, "  {warning}")?;
             }
         }
         Ok(())
     }
-}
-
-/// Returns the warning about a commissioning of less than a year.
-fn short_text(days: i64) -> String {
-    format!(
-        "the commissioning of {days} days does not contain all seasons; a seasonal change can look \
-         like a lasting one"
-    )
 }
 
 /// States how long a commissioning was extended, and why, if its reference is ready now.
@@ -275,9 +269,8 @@ fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
         rate(performance.promised_per_year),
         rate(performance.achieved_per_year)
     );
-    let commissioning_days = reference.to_day - reference.from_day + 1;
-    if commissioning_days < YEAR_DAYS {
-        let _ = writeln!(text, "  {}", short_text(commissioning_days));
+    if let Some(warning) = season_warning(reference.commissioning_days()) {
+        let _ = writeln!(text, "  {warning}");
     }
     for delay in &performance.delays {
         let _ = writeln!(text, "  {}", delay_text(delay));

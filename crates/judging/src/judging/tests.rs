@@ -44,6 +44,10 @@ fn a_loss_is_one_event_and_remains_the_word_of_the_state() {
     let change = display.change.unwrap();
     assert_eq!(display.word(), "lasting-loss");
     assert!(display.sentence.contains("pier has lost"));
+    let warning = " days does not contain all seasons; a seasonal change can look like a lasting \
+                   one.";
+    assert!(display.sentence.ends_with(warning), "{display:?}");
+    assert!(events[0].why.ends_with(warning), "{events:?}");
     assert!((0.03..0.07).contains(&change.loss), "{change:?}");
     let since = change.since_ns / start_ns(1);
     assert!((58..63).contains(&since), "{since}");
