@@ -239,6 +239,8 @@ fn of_alert() -> Vec<(Right, KeyFamily)> {
             ],
         ),
         each(Right::Subscribe, &[K::Annotation]),
+        // An event states that an earthquake begins.
+        each(Right::Subscribe, &[K::Event]),
         each(Right::Put, &[K::Judgement]),
         each(Right::Answer, &[K::JudgementCourse]),
         of_service(Service::Judge),

@@ -6,6 +6,8 @@
 //! judgement concerns ln(value). An estimate counts only if the present data reveal damage of its
 //! parameter, and if it is known whether its samples are measured.
 //!
+//! Values in an earthquake do not count, until the structure has settled.
+//!
 //! An estimate or mode that does not count opens its epoch nevertheless. An epoch without any value
 //! lets the judge state that the day has none.
 //!
@@ -19,7 +21,7 @@ use spandrel_bus::{
 };
 use spandrel_judge::{ConditionKind, Epoch};
 use spandrel_structure::Condition;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 /// Silence of the alert service after which nothing is known about the monitoring. The service
@@ -30,6 +32,11 @@ const HOLDS_FOR_INTERVALS: f64 = 2.0;
 /// Maximum number of epochs for which values of a condition are kept. Conditions arrive without
 /// estimates while the monitoring is blind.
 const CONDITIONS_KEPT: usize = 64;
+/// Time from the beginning of an earthquake until the structure has settled (ns): the longest
+/// recording of 10 minutes, after which an earthquake that continues begins again, and 5 minutes.
+const SETTLED_AFTER_NS: i64 = 900_000_000_000;
+/// Maximum number of earthquakes that concern epochs which are not closed yet.
+const MOST_EARTHQUAKES: usize = 64;
 /// Difference between the scales K and °C.
 const KELVIN_OF_0_CELSIUS: f64 = 273.15;
 const NS_PER_S: f64 = 1e9;
@@ -78,6 +85,8 @@ pub(crate) enum EpochInput {
     /// Whether the samples are measured now. `None` if that is unknown.
     Measured(Option<bool>),
     Condition(ConditionDisplay),
+    /// An earthquake has begun (ns since 1970-01-01 UTC).
+    Earthquake(i64),
     Parameter(ParameterDisplay),
     Mode(Box<ModeDisplay>),
 }
@@ -110,6 +119,8 @@ pub(crate) struct Epochs {
     open: BTreeMap<i64, Open>,
     /// Values of each condition, by the number of the epoch.
     conditions: Vec<ConditionValues>,
+    /// Beginnings of the last earthquakes (ns).
+    earthquakes: VecDeque<i64>,
     /// Number of the last closed epoch.
     closed: Option<i64>,
     monitoring: Option<(MonitoringDisplay, Duration)>,
@@ -166,6 +177,7 @@ impl Epochs {
         Self {
             open: BTreeMap::new(),
             conditions: conditions.map(|_| ConditionValues::default()).collect(),
+            earthquakes: VecDeque::new(),
             closed: closed_ns.map(|middle_ns| middle_ns.div_euclid(sources.length_ns)),
             monitoring: None,
             is_measured: None,
@@ -216,6 +228,12 @@ impl Epochs {
             EpochInput::Condition(display) => {
                 if let Err(reason) = self.take_condition(&display) {
                     *self.refused.entry(reason).or_default() += 1;
+                }
+            }
+            EpochInput::Earthquake(begin_ns) => {
+                self.earthquakes.push_back(begin_ns);
+                if self.earthquakes.len() > MOST_EARTHQUAKES {
+                    self.earthquakes.pop_front();
                 }
             }
             EpochInput::Parameter(display) => {
@@ -400,10 +418,19 @@ impl Epochs {
             if *first.key() >= number {
                 return;
             }
-            let (epoch, open) = first.remove_entry();
-            let sums = &open.quantities;
+            let (epoch, mut open) = first.remove_entry();
             let length_ns = self.sources.length_ns;
             let start_ns = epoch.saturating_mul(length_ns);
+            let is_shaken = |begin_ns: &i64| {
+                *begin_ns < start_ns.saturating_add(length_ns)
+                    && start_ns < begin_ns.saturating_add(SETTLED_AFTER_NS)
+            };
+            let has_values = open.quantities.iter().any(|sums| sums.count > 0);
+            if has_values && self.earthquakes.iter().any(is_shaken) {
+                open.quantities.fill(Sums::default());
+                *self.refused.entry("shaken-epochs").or_default() += 1;
+            }
+            let sums = &open.quantities;
             let middle_ns = start_ns.saturating_add(length_ns / 2);
             let conditions = self.conditions.iter_mut();
             let conditions = conditions.map(|values| values.at(epoch, start_ns));

@@ -19,11 +19,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
-/// What the epochs are formed of. Conditions precede the estimates and modes, because these close
-/// epochs.
+/// What the epochs are formed of. Events and conditions precede the estimates and modes, because
+/// these close epochs.
 const NEEDS: Needs = Needs {
     topics: &[
         DisplayTopic::Statuses,
+        DisplayTopic::Events,
         DisplayTopic::Monitoring,
         DisplayTopic::Conditions,
         DisplayTopic::Parameters,
@@ -261,6 +262,9 @@ impl JudgeService {
                 }
                 Input::Parameter(display) => inputs.push(EpochInput::Parameter(display)),
                 Input::Mode(display) => inputs.push(EpochInput::Mode(display)),
+                Input::Event(event) if event.kind == EventKind::Earthquake => {
+                    inputs.push(EpochInput::Earthquake(event.time_ns));
+                }
                 other => self.state.handle(other, &mut Vec::new()),
             }
         }
@@ -325,8 +329,8 @@ impl JudgeService {
         self.is_measured = pace.map(|pace| pace == Pace::Live && !is_simulated);
     }
 
-    /// Sets saved epochs aside that are ahead of the clock, and publishes what happened to the saved
-    /// epochs.
+    /// Sets saved epochs aside that are ahead of the clock, and publishes the events about the
+    /// saved ones.
     async fn heal(&mut self) -> Result<(), JudgingError> {
         let is_ahead = self.bench.as_ref().is_some_and(Bench::is_ahead);
         if is_ahead && self.started.elapsed() >= self.heals_at {

@@ -96,6 +96,25 @@ fn monitoring_that_is_blind_or_unknown_gives_an_epoch_without_a_value() {
     }
 }
 
+/// Strong shaking softens a structure for minutes, which is no lasting change.
+#[test]
+fn epochs_from_an_earthquake_until_the_structure_has_settled_have_no_value() {
+    let mut epochs = sighted();
+    // The epochs end at 900, 1800, … s. The earthquake at 1000 s is over at 1900 s.
+    for number in 0..4 {
+        take(&mut epochs, number * EPOCH + 10, 1.0);
+        if number == 1 {
+            handle(&mut epochs, EpochInput::Earthquake(1000 * S));
+        }
+    }
+    let mut closed = Vec::new();
+    epochs.close_before(5, &mut closed);
+    let values: Vec<_> = closed.iter().map(|of| of.epoch.quantities[0]).collect();
+    // The first epoch was closed by the third estimate, and the second by the fourth.
+    assert_eq!(values, [None, Some(1.0)]);
+    assert_eq!(refused(&epochs, "shaken-epochs"), 2);
+}
+
 #[test]
 fn learning_the_reference_of_a_rule_is_not_blindness() {
     let mut epochs = sighted();
