@@ -14,10 +14,6 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use tracing::warn;
 
-/// Time by which measured epochs may be ahead of the clock (ns). Values that are 60 s ahead are not
-/// taken, so only a clock that was set back leaves such epochs.
-const MOST_AHEAD_NS: i64 = 86_400_000_000_000;
-
 /// The state that judges epochs. It runs on a separate thread, because learning a reference would
 /// block an async thread for too long.
 #[derive(Debug)]
@@ -98,6 +94,11 @@ impl Bench {
         past.ok().map(|past| past.displays)
     }
 
+    /// Returns the events about the saved epochs that are not published yet.
+    pub(crate) fn take_told(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.told)
+    }
+
     /// Judges the epochs of the file with all annotations.
     fn judge_again(&mut self) -> Result<(), JudgingError> {
         let mut judging = self.blank.clone();
@@ -105,15 +106,10 @@ impl Bench {
         known.for_each(|annotation| judging.annotate(annotation.clone()));
         if let Some(Saved { folder, plan }) = &self.saved {
             let mut refused = 0_u64;
-            let latest_ns = self.latest_ns();
-            let mut log = EpochLog::open(folder, plan, latest_ns, |closed| {
+            let log = EpochLog::open(folder, plan, |closed| {
                 // The events were published when the epoch was new.
                 refused += u64::from(judging.handle(&closed, &mut Vec::new()).is_err());
             })?;
-            if let Some(ahead) = log.take_ahead() {
-                let event = judging.set_aside(&ahead, self.clock.now_ns());
-                self.told.push(event);
-            }
             if refused > 0 {
                 warn!(epochs = refused, "saved epochs rejected");
             }
@@ -122,29 +118,6 @@ impl Bench {
         self.judging = judging;
         self.begin_configuration();
         Ok(())
-    }
-
-    /// Returns the latest plausible time of a measured epoch (ns since 1970-01-01 UTC).
-    fn latest_ns(&self) -> i64 {
-        self.clock.now_ns().saturating_add(MOST_AHEAD_NS)
-    }
-
-    /// Returns `true` if saved epochs are ahead of the clock, so that they exclude all later ones.
-    pub(crate) fn is_ahead(&self) -> bool {
-        let is_kept = self.log.as_ref().is_some_and(|log| !log.is_behind());
-        is_kept && self.judging.epoch_ns() > Some(self.latest_ns())
-    }
-
-    /// Judges the saved epochs again without those that are ahead of the clock.
-    pub(crate) fn heal(&mut self) {
-        if let Err(error) = self.judge_again() {
-            warn!(%error, "cannot set epochs aside that are ahead of the clock");
-        }
-    }
-
-    /// Returns the events about the saved epochs that are not published yet.
-    pub(crate) fn take_told(&mut self) -> Vec<Event> {
-        std::mem::take(&mut self.told)
     }
 
     /// Records the configuration in force, if it or its file of epochs has changed.

@@ -47,8 +47,6 @@ pub(crate) struct EpochLog {
     lines: u64,
     /// Name of the file into which the former epochs were set aside at the start.
     aside: Option<String>,
-    /// The epochs that are not used, because they are ahead of the clock.
-    ahead: Option<Ahead>,
     /// The last line before epochs were lost, or of a file that has taken the place of another one.
     incomplete: Option<Place>,
     /// Lines that are not written yet, without their check values.
@@ -58,29 +56,17 @@ pub(crate) struct EpochLog {
     failures: Failures,
 }
 
-/// Epochs that a wrong clock has dated into the future.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Ahead {
-    pub(crate) epochs: usize,
-    /// Middle of the first one (ns since 1970-01-01 UTC).
-    pub(crate) first_ns: i64,
-    /// Name of the file that contains them.
-    pub(crate) aside: String,
-}
-
 impl EpochLog {
     /// Opens or creates the file in a folder. Calls `judge` for each epoch in it.
     ///
     /// A last line that is incomplete is removed. If another line is damaged, or if the columns
-    /// have changed, the file is set aside. The epochs before a damaged line are copied, and so are
-    /// those before measured epochs that are later than `latest_ns` (ns since 1970-01-01 UTC).
+    /// have changed, the file is set aside. The epochs before a damaged line are copied.
     ///
     /// # Errors
     /// The file cannot be read or written, or a line is not an epoch of `plan`.
     pub(crate) fn open(
         folder: &Path,
         plan: &JudgePlan,
-        latest_ns: i64,
         judge: impl FnMut(ClosedEpoch),
     ) -> Result<Self, JudgingError> {
         let path = folder.join(FILE);
@@ -92,27 +78,16 @@ impl EpochLog {
             source,
         })?;
         let header = header(plan);
-        let mut begun = begin(&path, &header)?;
-        let mut ahead = None;
-        if begun.found.lines > 0 {
-            let mut epochs = Vec::with_capacity(begun.found.lines);
-            replay(&path, &begun.text, plan, |closed| epochs.push(closed))?;
-            let is_ahead = |epoch: &ClosedEpoch| epoch.is_measured && epoch.middle_ns > latest_ns;
-            if let Some(first) = epochs.iter().position(is_ahead) {
-                ahead = begun.keep(&path, &header, &epochs, first)?;
-                epochs.truncate(begun.found.lines);
-            }
-            epochs.into_iter().for_each(judge);
-            let epochs = begun.found.lines;
-            info!(file = %path.display(), epochs, "resumed from the epochs");
+        let Begun { text, found, aside } = begin(&path, &header)?;
+        if found.lines > 0 {
+            replay(&path, &text, plan, judge)?;
+            info!(file = %path.display(), epochs = found.lines, "resumed from the epochs");
         }
-        let Begun { found, aside, .. } = begun;
         Ok(Self {
             check: found.check,
             length: found.length as u64,
             lines: found.lines as u64,
             aside,
-            ahead,
             incomplete: None,
             path,
             header,
@@ -198,12 +173,6 @@ impl EpochLog {
     /// later call returns `None`.
     pub(crate) fn take_aside(&mut self) -> Option<String> {
         self.aside.take()
-    }
-
-    /// Returns the epochs that are not used, because they are ahead of the clock. Each later call
-    /// returns `None`.
-    pub(crate) fn take_ahead(&mut self) -> Option<Ahead> {
-        self.ahead.take()
     }
 
     /// Returns the counts of failed writes and of lost epochs.
@@ -385,57 +354,6 @@ struct Begun {
     found: Sound,
     /// Name of the file into which a damaged one was set aside.
     aside: Option<String>,
-}
-
-impl Begun {
-    /// Keeps the epochs before the first one that is ahead of the clock, and sets the file aside.
-    ///
-    /// If most epochs are ahead, the clock of the machine is probably behind, as after a start
-    /// without a battery. All of them are then kept, and the result is `None`.
-    fn keep(
-        &mut self,
-        path: &Path,
-        header: &str,
-        epochs: &[ClosedEpoch],
-        first: usize,
-    ) -> Result<Option<Ahead>, JudgingError> {
-        let count = epochs.len() - first;
-        let file = path.display();
-        if first < count {
-            warn!(
-                %file, epochs = count,
-                "most epochs are more than a day ahead of the clock, so they are kept; set the \
-                 clock, or remove the file"
-            );
-            return Ok(None);
-        }
-        let failed = |what| {
-            move |source| JudgingError::File {
-                what,
-                path: path.to_owned(),
-                source,
-            }
-        };
-        let aside = match self.aside.take() {
-            Some(aside) => aside, // contains these epochs as well
-            None => {
-                let aside = set_aside(path).map_err(failed("set aside"))?;
-                let name = aside.file_name().unwrap_or_default();
-                name.to_string_lossy().into_owned()
-            }
-        };
-        self.found = Sound::find_first(&self.text, header, first);
-        self.text.truncate(self.found.length);
-        write_whole(path, &self.text).map_err(failed("write"))?;
-        sync_name(path);
-        warn!(%file, aside, epochs = count, "epochs that are ahead of the clock are set aside");
-        self.aside = Some(aside.clone());
-        Ok(Some(Ahead {
-            epochs: count,
-            first_ns: epochs[first].middle_ns,
-            aside,
-        }))
-    }
 }
 
 /// Reads the file of the epochs, or creates it. Returns its sound part, and what is known of it.

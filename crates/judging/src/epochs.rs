@@ -191,18 +191,6 @@ impl Epochs {
         }
     }
 
-    /// Begins anew after the epoch with this middle (ns).
-    pub(crate) fn begin_after(&mut self, closed_ns: Option<i64>) {
-        self.open.clear();
-        self.closed = closed_ns.map(|middle_ns| middle_ns.div_euclid(self.sources.length_ns));
-        self.newest_ns = closed_ns;
-        self.modes.clear();
-        self.parameters.clear();
-        for values in &mut self.conditions {
-            *values = ConditionValues::default();
-        }
-    }
-
     /// Returns the length of an epoch (ns).
     pub(crate) fn length_ns(&self) -> i64 {
         self.sources.length_ns

@@ -1,7 +1,6 @@
 //! Judges closed epochs, and states the result in messages.
 
 use crate::course::{Course, Subject, change, expectation, start_ns, state};
-use crate::epoch_log::Ahead;
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
 use spandrel_bus::{
@@ -98,26 +97,6 @@ impl Judging {
     /// Returns the name of the structure.
     pub(crate) fn structure(&self) -> &Name {
         &self.structure
-    }
-
-    /// Returns the event of epochs that were set aside at a wall-clock time (ns since 1970-01-01
-    /// UTC).
-    pub(crate) fn set_aside(&self, ahead: &Ahead, time_ns: i64) -> Event {
-        let Ahead {
-            epochs,
-            first_ns,
-            aside,
-        } = ahead;
-        let from = date(first_ns.div_euclid(DAY_NS));
-        Event {
-            structure: self.structure.clone(),
-            time_ns,
-            kind: EventKind::Gap,
-            subject: "judge".to_owned(),
-            what: format!("{epochs} epochs from {from} on are set aside in {aside}"),
-            why: "they are more than a day ahead of the clock, and would exclude all others"
-                .to_owned(),
-        }
     }
 
     /// Returns the middle of the last epoch (ns since 1970-01-01 UTC).

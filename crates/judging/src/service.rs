@@ -42,9 +42,6 @@ const REPEAT_EVERY: Duration = Duration::from_secs(5);
 /// this time to receive the first values.
 const SILENT_EPOCHS: u32 = 2;
 
-/// Interval at which the saved epochs are judged again while they are ahead of the clock.
-const HEAL_EVERY: Duration = Duration::from_secs(3600);
-
 /// Capacities of the queues for queries and for annotations.
 const QUESTIONS_WAITING: usize = 64;
 const ANNOTATIONS_WAITING: usize = 64;
@@ -77,8 +74,6 @@ pub struct JudgeService {
     epochs: Epochs,
     /// Time from `started` to the last closed epoch.
     closed_at: Duration,
-    /// Time from `started` before which epochs ahead of the clock are not looked for again.
-    heals_at: Duration,
     /// `None` only while another thread judges.
     bench: Option<Bench>,
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
@@ -164,7 +159,6 @@ impl JudgeService {
                 started,
                 epochs: Epochs::new(sources, bench.judging.epoch_ns()),
                 closed_at: Duration::ZERO,
-                heals_at: Duration::ZERO,
                 bench: Some(bench),
                 topics,
                 questions: bus
@@ -201,7 +195,7 @@ impl JudgeService {
                     () = &mut stop => break,
                     _ = status.tick() => {
                         self.judge(Vec::new()).await?; // tries again to save what waits
-                        self.heal().await?;
+                        self.tell().await?;
                         self.put_status().await?;
                     }
                     _ = repeat.tick() => self.put_states().await?,
@@ -329,19 +323,8 @@ impl JudgeService {
         self.is_measured = pace.map(|pace| pace == Pace::Live && !is_simulated);
     }
 
-    /// Sets saved epochs aside that are ahead of the clock, and publishes the events about the
-    /// saved ones.
-    async fn heal(&mut self) -> Result<(), JudgingError> {
-        let is_ahead = self.bench.as_ref().is_some_and(Bench::is_ahead);
-        if is_ahead && self.started.elapsed() >= self.heals_at {
-            self.heals_at = self.started.elapsed() + HEAL_EVERY;
-            self.at_the_bench(Bench::heal).await;
-            let epoch_ns = self
-                .bench
-                .as_ref()
-                .and_then(|bench| bench.judging.epoch_ns());
-            self.epochs.begin_after(epoch_ns);
-        }
+    /// Publishes the events about the saved epochs.
+    async fn tell(&mut self) -> Result<(), JudgingError> {
         let told = self.bench.as_mut().map(Bench::take_told);
         for event in told.unwrap_or_default() {
             self.events.put(&event.legible()).await?;

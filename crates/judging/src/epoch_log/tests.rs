@@ -4,7 +4,7 @@ use crate::testing::{closed, plan};
 /// Opens the file and returns the epochs in it.
 fn open(folder: &Path, plan: &JudgePlan) -> (EpochLog, Vec<ClosedEpoch>) {
     let mut found = Vec::new();
-    let log = EpochLog::open(folder, plan, i64::MAX, |epoch| found.push(epoch)).unwrap();
+    let log = EpochLog::open(folder, plan, |epoch| found.push(epoch)).unwrap();
     (log, found)
 }
 
@@ -85,56 +85,6 @@ fn a_damaged_or_missing_line_sets_the_file_aside_and_keeps_what_precedes_it() {
         let aside = folder.path().join("judge-epochs.1.csv");
         assert_eq!(std::fs::read_to_string(aside).unwrap(), damaged);
     }
-}
-
-/// Regression: an epoch of the future excluded all later ones for ever.
-#[test]
-fn epochs_ahead_of_the_clock_are_set_aside_unless_they_are_most() {
-    let folder = written(0..5);
-    let (mut log, _) = open(folder.path(), &plan());
-    let [future, later] = [1000, 1001].map(closed);
-    log.append(&future);
-    log.append(&later);
-    let whole = std::fs::read(folder.path().join(FILE)).unwrap();
-    let reopen = |latest_ns| {
-        let mut found = Vec::new();
-        let judge = |epoch| found.push(epoch);
-        let log = EpochLog::open(folder.path(), &plan(), latest_ns, judge).unwrap();
-        (log, found)
-    };
-    let (mut log, found) = reopen(closed(2).middle_ns);
-    assert_eq!((found.len(), log.take_ahead()), (7, None), "four of seven");
-    let (mut log, found) = reopen(closed(999).middle_ns);
-    assert_eq!(found, (0..5).map(kept).collect::<Vec<_>>());
-    let aside = "judge-epochs.1.csv".to_owned();
-    let ahead = Ahead {
-        epochs: 2,
-        first_ns: future.middle_ns,
-        aside: aside.clone(),
-    };
-    assert_eq!(
-        (log.take_ahead(), log.take_aside()),
-        (Some(ahead), Some(aside.clone()))
-    );
-    assert_eq!(std::fs::read(folder.path().join(aside)).unwrap(), whole);
-    log.append(&closed(5));
-    let (mut log, found) = reopen(closed(999).middle_ns);
-    assert_eq!(found, (0..6).map(kept).collect::<Vec<_>>());
-    assert_eq!(log.take_ahead(), None);
-}
-
-/// A replay or simulation may have any time.
-#[test]
-fn epochs_that_are_not_measured_may_be_ahead_of_the_clock() {
-    let folder = written(0..5);
-    let (mut log, _) = open(folder.path(), &plan());
-    log.append(&ClosedEpoch {
-        is_measured: false,
-        ..closed(1000)
-    });
-    let mut found = 0;
-    EpochLog::open(folder.path(), &plan(), closed(10).middle_ns, |_| found += 1).unwrap();
-    assert_eq!(found, 6);
 }
 
 #[test]

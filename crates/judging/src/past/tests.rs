@@ -226,7 +226,7 @@ fn epochs_that_are_damaged_changed_or_not_saved_are_not_judged() {
     assert_eq!(why(folder, stated.epoch_ns, None), expected);
     // Epochs of another structure with the same columns.
     std::fs::remove_file(&path).unwrap();
-    let mut log = EpochLog::open(folder, &plan(), i64::MAX, |_| {}).unwrap();
+    let mut log = EpochLog::open(folder, &plan(), |_| {}).unwrap();
     (0..9).for_each(|number| log.append(&closed(number)));
     let expected = NoPast::OtherEpochs { path };
     assert_eq!(why(folder, stated.epoch_ns, None), expected);
@@ -239,7 +239,7 @@ fn without_a_record_of_then_nothing_is_judged() {
     let error = past(folder, 0, None).unwrap_err();
     assert!(matches!(error, JudgingError::NoConfiguration { .. }));
     // An earlier version has saved epochs.
-    let mut log = EpochLog::open(folder, &plan(), i64::MAX, |_| {}).unwrap();
+    let mut log = EpochLog::open(folder, &plan(), |_| {}).unwrap();
     (0..3).for_each(|third| log.append(&of_day(0, third, 1.0)));
     let mut service = bench(folder, &plan());
     run(&mut service, 1..2);
