@@ -291,8 +291,8 @@ impl Sequence {
     /// Adds an event that is later than all others, and judges it. `time_ns` is the time of its
     /// recording, ns since 1970-01-01 UTC, if it is known.
     ///
-    /// A recording without shaking that follows the one before it within twelve hours belongs to
-    /// the same occasion. Temperature and moisture, which make events scatter, are then the same,
+    /// A recording without shaking that begins within twelve hours of the first recording of an
+    /// occasion belongs to it. Temperature and moisture, which make events scatter, are then the same,
     /// so that both together count as one event.
     pub fn push(&mut self, event: EventCourse, time_ns: Option<i64>) -> EventJudgement {
         let index = self.events.len();

@@ -37,8 +37,6 @@ struct Found {
     finding: Finding,
     /// Day on which the change was first found.
     first_day: i64,
-    /// Change of ln(value) since the commissioning that preceded this one. It is not part of it.
-    before: f64,
     /// Interval of the loss that was last raised.
     raised: [f64; 2],
 }
@@ -162,7 +160,7 @@ impl Commissioning {
         let first = self.days.first().map_or(frame.day, |day| day.number);
         let length = i64::from(frame.settings.commissioning_days);
         let passed = frame.day - first + 1;
-        if passed < length {
+        if passed < length && self.missing.is_none() {
             let days_left = (length - passed) as u32;
             return Err(absence.unwrap_or(State::Learning { days_left }));
         }
@@ -382,9 +380,6 @@ impl Judging {
     }
 
     /// Returns a new finding.
-    ///
-    /// The change is stated against the commissioning. A certain gain before a loss is not
-    /// subtracted from the loss.
     fn raise(
         &self,
         kind: fn(Change) -> Finding,
@@ -393,25 +388,17 @@ impl Judging {
         per_stiffness: f64,
     ) -> Found {
         let present = self.present(step.day, frame).unwrap_or(step);
-        let before = present.size - step.size;
-        let is_certain = before > INTERVAL_QUANTILE * self.reference_variance(frame.day).sqrt();
-        let before = if step.size < 0.0 && is_certain {
-            before
-        } else {
-            0.0
-        };
-        let change = change(present, before, per_stiffness, frame.day);
+        let change = change(present, per_stiffness, frame.day);
         Found {
             finding: kind(change),
             first_day: frame.day,
-            before,
             raised: change.interval,
         }
     }
 
     /// Returns a finding with the present size of its change.
     ///
-    /// A loss that certainly exceeds the one that was raised is raised again.
+    /// A loss that certainly exceeds the one that was raised, and is twice as large, is raised again.
     fn renewed(&self, known: Found, frame: Frame<'_>, per_stiffness: f64) -> Found {
         let Change {
             found_day,
@@ -431,11 +418,13 @@ impl Judging {
         let Some(present) = self.present(since_day, frame) else {
             return known;
         };
-        let mut change = change(present, known.before, per_stiffness, found_day);
+        let mut change = change(present, per_stiffness, found_day);
         let mut raised = known.raised;
-        let remains = change.loss / (0.5 * (raised[0] + raised[1]));
-        change.may_have_recovered = change.interval[0] <= 0.0 && remains < 0.5;
-        if known.finding.is_alarm() && change.interval[0] > raised[1] {
+        let was_raised = 0.5 * (raised[0] + raised[1]);
+        change.may_have_recovered =
+            raised[0] > 0.0 && change.interval[0] <= 0.0 && change.loss < 0.5 * was_raised;
+        let has_grown = change.interval[0] > raised[1] && change.loss >= 2.0 * was_raised;
+        if known.finding.is_alarm() && has_grown {
             change.found_day = frame.day;
             raised = change.interval;
         }
@@ -488,15 +477,15 @@ struct Learnt {
     novelty: Option<Novelty>,
 }
 
-/// Returns the change of stiffness beyond what preceded it.
-fn change(present: StepEstimate, before: f64, per_stiffness: f64, found_day: i64) -> Change {
-    let size = present.size - before;
+/// Returns the change of stiffness against the commissioning.
+fn change(present: StepEstimate, per_stiffness: f64, found_day: i64) -> Change {
+    let StepEstimate { size, std, .. } = present;
     Change {
         found_day,
         since_day: present.day,
         loss: loss(size, per_stiffness),
         interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
-            .map(|quantile| loss(size + quantile * present.std, per_stiffness)),
+            .map(|quantile| loss(size + quantile * std, per_stiffness)),
         may_have_recovered: false,
     }
 }

@@ -132,7 +132,8 @@ pub struct Change {
     /// 95 % interval of the loss, `[low, high]`, as shares of the stiffness. Negative values are a
     /// gain.
     pub interval: [f64; 2],
-    /// Whether the interval contains zero, and less than half of the loss that was found remains.
+    /// Whether a certain loss was found, less than half of it remains, and the interval contains
+    /// zero.
     pub may_have_recovered: bool,
 }
 
@@ -201,6 +202,11 @@ impl Judgement {
                     "{name} lost stiffness, most probably since {since}, and may have recovered: \
                      its present loss is {loss:.1} % [{low:.1}, {high:.1}]."
                 ),
+                // Uncertain against the commissioning, such as after a gain.
+                Finding::LastingLoss(_) if low <= 0.0 => format!(
+                    "{name} has lost stiffness, most probably since {since}. Its loss since the \
+                     commissioning is {loss:.1} % [{low:.1}, {high:.1}]."
+                ),
                 Finding::LastingLoss(_) => format!(
                     "{name} has lost {loss:.1} % of stiffness [{low:.1}, {high:.1}], most probably \
                      since {since}."
@@ -208,6 +214,11 @@ impl Judgement {
                 Finding::LearnedAway(_) => format!(
                     "The learnt reference of {name} has drifted away: the present loss of \
                      stiffness since the commissioning is {loss:.1} % [{low:.1}, {high:.1}]."
+                ),
+                Finding::Stiffer(_) if high >= 0.0 => format!(
+                    "{name} gained stiffness, most probably since {since}. Its present gain is \
+                     {:.1} % [{:.1}, {:.1}].",
+                    -loss, -high, -low
                 ),
                 Finding::Stiffer(_) => format!(
                     "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably since \
@@ -291,6 +302,15 @@ mod tests {
             sentence(Finding::LastingLoss(recovered), 20_700),
             "bending lost stiffness, most probably since 2025-10-24, and may have recovered: its \
              present loss is 0.5 % [-1.0, 2.0]."
+        );
+        let uncertain = Change {
+            interval: [-0.002, 0.05],
+            ..change(0.024)
+        };
+        assert_eq!(
+            sentence(Finding::LastingLoss(uncertain), 20_390),
+            "bending has lost stiffness, most probably since 2025-10-24. Its loss since the \
+             commissioning is 2.4 % [-0.2, 5.0]."
         );
         for day in [20_385, 20_386, 20_414] {
             assert_eq!(

@@ -2,9 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Number of the latest judged days whose mean is the present change. A change that grows is stated
-/// as it was half of this time ago.
+/// Number of the latest judged days whose mean is the present change. A change that grows slowly is
+/// stated as it was half of this time ago.
 const LATEST_DAYS: usize = 30;
+/// Number of the latest judged days that replace them after a sudden further change.
+const SUDDEN_DAYS: usize = 5;
+/// Quantile of the normal distribution that the difference of both means must exceed for this.
+const SUDDEN_QUANTILE: f64 = 3.0;
 
 /// Change of one judged day.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -31,6 +35,8 @@ pub(crate) struct LatestChanges {
 pub(crate) struct MeanChange {
     /// Change of ln(value).
     pub(crate) size: f64,
+    /// Variance of the size that the days have for themselves.
+    alone: f64,
     /// Variance of the size, without that of the reference and of the deviation u.
     pub(crate) variance: f64,
     /// Number of days from the first to the last one.
@@ -46,37 +52,55 @@ impl LatestChanges {
     }
 
     /// Returns the weighted mean of the days since a day, or `None` if none of them counts.
+    ///
+    /// If the latest few days certainly differ from it, they alone are the present.
     pub(crate) fn since(&self, day: i64) -> Option<MeanChange> {
         let first = self.days.partition_point(|change| change.day < day);
         let days = &self.days[first..];
-        let weight = |change: &DayChange| change.share / change.variance;
-        let sum = |of: fn(&DayChange) -> f64| -> f64 {
-            days.iter().map(|change| weight(change) * of(change)).sum()
-        };
-        let weights = sum(|_| 1.0);
-        if weights <= 0.0 {
-            return None;
-        }
-        // Σ w² v = Σ w share
-        let alone = sum(|change| change.share) / (weights * weights);
-        Some(MeanChange {
-            size: sum(|change| change.size) / weights,
-            variance: alone + sum(|change| change.ignorance) / weights,
-            days: days.last()?.day - days.first()?.day + 1,
+        let all = mean(days)?;
+        let sudden = mean(&days[days.len().saturating_sub(SUDDEN_DAYS)..]);
+        Some(match sudden {
+            Some(sudden)
+                if (sudden.size - all.size).abs() > SUDDEN_QUANTILE * sudden.alone.sqrt() =>
+            {
+                sudden
+            }
+            _ => all,
         })
     }
+}
+
+/// Returns the weighted mean of some days.
+fn mean(days: &[DayChange]) -> Option<MeanChange> {
+    let weight = |change: &DayChange| change.share / change.variance;
+    let sum = |of: fn(&DayChange) -> f64| -> f64 {
+        days.iter().map(|change| weight(change) * of(change)).sum()
+    };
+    let weights = sum(|_| 1.0);
+    if weights <= 0.0 {
+        return None;
+    }
+    // Σ w² v = Σ w share
+    let alone = sum(|change| change.share) / (weights * weights);
+    Some(MeanChange {
+        size: sum(|change| change.size) / weights,
+        alone,
+        variance: alone + sum(|change| change.ignorance) / weights,
+        days: days.last()?.day - days.first()?.day + 1,
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn changes(count: i64) -> LatestChanges {
+    /// Changes of this size on each day.
+    fn changes(count: i64, size: impl Fn(i64) -> f64) -> LatestChanges {
         let mut changes = LatestChanges::default();
         for day in 0..count {
             changes.add(DayChange {
                 day,
-                size: day as f64,
+                size: size(day),
                 variance: 4.0,
                 ignorance: 0.5,
                 share: 1.0,
@@ -87,17 +111,26 @@ mod tests {
 
     #[test]
     fn only_the_latest_days_since_a_day_count() {
-        let mean = changes(100).since(0).unwrap();
-        assert_eq!((mean.size, mean.days), (84.5, 30)); // days 70 to 99
-        let mean = changes(100).since(98).unwrap();
-        assert_eq!((mean.size, mean.days), (98.5, 2));
-        assert_eq!(mean.variance, 4.0 / 2.0 + 0.5);
-        assert_eq!(changes(100).since(100), None);
+        let changes = changes(100, |day| 0.01 * day as f64);
+        let mean = changes.since(0).unwrap();
+        assert_eq!(mean.days, 30); // days 70 to 99
+        assert!((mean.size - 0.845).abs() < 1e-12);
+        let mean = changes.since(98).unwrap();
+        assert!((mean.size - 0.985).abs() < 1e-12);
+        assert_eq!((mean.variance, mean.days), (4.0 / 2.0 + 0.5, 2));
+        assert_eq!(changes.since(100), None);
+    }
+
+    #[test]
+    fn a_sudden_change_is_stated_after_five_days() {
+        let changed = |days: i64| changes(60 + days, |day| if day < 60 { 0.0 } else { 10.0 });
+        assert_eq!(changed(5).since(0).unwrap().size, 10.0);
+        assert_eq!(changed(1).since(0).unwrap().days, 30);
     }
 
     #[test]
     fn days_in_the_frost_zone_do_not_count() {
-        let mut changes = changes(2);
+        let mut changes = changes(2, |day| day as f64);
         changes.add(DayChange {
             day: 2,
             size: 1000.0,

@@ -136,10 +136,12 @@ impl Judging {
 
     /// Returns the person who was the last to see a change.
     fn seen(&self, quantity: &Name, change: &LastingChange) -> Option<ChangeSeen> {
+        // A day is judged after its end.
+        let known_ns = change.found_ns.saturating_add(DAY_NS);
         let sees = |annotation: &&Annotation| {
             annotation.effect == AnnotationEffect::Seen
                 && annotation.covers(quantity)
-                && annotation.time_ns >= change.found_ns
+                && annotation.time_ns >= known_ns
         };
         let annotation = self.annotations.iter().rfind(sees)?;
         Some(ChangeSeen {
