@@ -153,6 +153,11 @@ fn a_change_is_seen_by_who_notes_it_after_it_was_found() {
     let display = &judging.displays(0)[0];
     assert!(display.change.is_some());
     assert_eq!(display.seen, None, "noted before the change was found");
+    judging.annotate(Annotation {
+        time_ns: display.change.unwrap().found_ns + 1,
+        ..annotation(90, AnnotationEffect::Seen)
+    });
+    assert_eq!(judging.displays(0)[0].seen, None, "the day had not ended");
     judging.annotate(annotation(90, AnnotationEffect::None));
     assert_eq!(judging.displays(0)[0].seen, None);
     judging.annotate(annotation(90, AnnotationEffect::Seen));
