@@ -278,11 +278,22 @@ async fn waveforms_of_an_event_are_those_of_the_recording() {
     );
     let asked = "performance.getEntriesByType('resource').filter(({ name }) => \
                  name.includes('/samples?')).length";
-    let readout = "document.querySelector('#plot-waveform-floor-2 .readout')?.textContent ?? ''";
+    let top = "document.querySelector('#group-waveforms').getBoundingClientRect().top";
+    browser
+        .wait(
+            "the waveforms in the window",
+            &format!("{top} > 0 && {top} < innerHeight / 2"),
+        )
+        .await;
+    // A plot outside the window is not drawn.
+    let plot = "document.querySelector('#plot-waveform-floor-2')";
+    let readout = format!("({plot}?.querySelector('.readout').textContent ?? '')");
     browser
         .wait(
             "the samples, read once for all sensors",
-            &format!("/ to .+ m\\/s²$/.test({readout}) && {asked} === 1"),
+            &format!(
+                "({plot}?.scrollIntoView(), / to .+ m\\/s²$/.test({readout}) && {asked} === 1)"
+            ),
         )
         .await;
     browser.screenshot("waveforms-of-an-event").await;

@@ -29,6 +29,8 @@ export class SensorsTab {
   hasWaveforms = true;
   /** Name of the sensor whose details are shown. */
   chosen = null;
+  /** Whether the page shall scroll to the waveforms as soon as they are there. */
+  #isSought = false;
   /** Shared ranges of the waveforms, and of the spectra, of the sensors with one unit. */
   #scales = new Map();
 
@@ -101,8 +103,9 @@ export class SensorsTab {
     return this.chosen ? { sensor: this.chosen } : {};
   }
 
-  /** Shows the sensor in the address. */
+  /** Shows the sensor and the waveforms of the range in the address. */
   goto(_, parameters) {
+    this.#isSought = parameters.has("from");
     const channel = parameters.get("sensor");
     this.#choose(this.smalls && this.sensors.has(channel) ? channel : null);
   }
@@ -160,6 +163,12 @@ export class SensorsTab {
 
   /** Fetches the newest spectra, and draws again what shares a scale that has changed. */
   draw(options) {
+    const { element } = this.groups.waveforms;
+    // The tables above the waveforms would otherwise hide them, and a plot outside the window is not drawn.
+    if (this.#isSought && !element.hidden) {
+      this.#isSought = false;
+      element.scrollIntoView();
+    }
     this.#fetchSpectra();
     this.smalls?.draw(options);
     setText(this.why, this.recording.why);
