@@ -421,9 +421,16 @@ impl Store {
     }
 
     /// Adds all past changes, acknowledgements and events that are not known yet, of any number.
+    ///
+    /// A way back to a normal state is a change, because it ends the alert before it.
     pub(crate) fn join(&mut self, log: HistoryLog) {
+        let mut last: BTreeMap<Name, AlertState> = BTreeMap::new();
         for alert in log.alerts {
-            if is_notable(&alert) && !self.revise(&alert) {
+            let before = last
+                .insert(alert.parameter.clone(), alert.state)
+                .or_else(|| self.state_before(&alert));
+            let is_change = before.is_some_and(|before| before != alert.state);
+            if (is_change || is_notable(&alert)) && !self.revise(&alert) {
                 let time_ns = alert.time_ns;
                 let place = self
                     .changes
@@ -442,6 +449,15 @@ impl Store {
         log.acknowledgements
             .into_iter()
             .for_each(|note| self.join_note(note));
+    }
+
+    /// Returns the state to which the last known change before an alert led.
+    fn state_before(&self, alert: &AlertMessage) -> Option<AlertState> {
+        let mut changes = self.changes.iter();
+        let before = changes.find(|change| {
+            change.alert.parameter == alert.parameter && change.time_ns < alert.time_ns
+        });
+        before.map(|change| change.alert.state)
     }
 
     /// Returns `true` if data has stopped, or if alerts exist but no data has arrived.

@@ -235,3 +235,40 @@ fn revisions_do_not_move_the_time_of_a_change() {
     assert_eq!(of(vec![standing.clone(), earlier.clone()]), (1, 5, 1));
     assert_eq!(of(vec![earlier, standing]), (1, 5, 1));
 }
+
+/// Regression test: the history stores the way back to normal, but the changes lacked it. A report
+/// of a past period therefore named an alert that had ended before.
+#[test]
+fn way_back_to_normal_in_the_history_is_a_change() {
+    let past = |alerts: &[(i64, AlertState)]| {
+        let alerts = alerts.iter();
+        Input::Past(HistoryLog {
+            structure: name("demo"),
+            alerts: alerts
+                .map(|(time_ns, state)| alert("storey-2", *time_ns, *state))
+                .collect(),
+            acknowledgements: vec![],
+            events: vec![],
+        })
+    };
+    let mut store = demo();
+    let first = [
+        (1, AlertState::Normal),
+        (2, AlertState::Raised),
+        (3, AlertState::Normal),
+        (4, AlertState::Normal),
+    ];
+    store.handle(past(&first));
+    store.handle(past(&[(5, AlertState::Undecided)]));
+    store.handle(past(&first));
+    let changes = store.changes.iter();
+    let changes: Vec<_> = changes
+        .map(|change| (change.time_ns, change.alert.state))
+        .collect();
+    let expected = [
+        (5, AlertState::Undecided),
+        (3, AlertState::Normal),
+        (2, AlertState::Raised),
+    ];
+    assert_eq!(changes, expected);
+}
