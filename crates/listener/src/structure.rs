@@ -380,15 +380,14 @@ impl StructureState {
         let is_it = |of: &&ParameterMonitoring| {
             of.parameter == *parameter && of.state != MonitoringState::Watching
         };
-        if let Some(of_it) = parameters.find(is_it) {
-            return Some(of_it.clone());
-        }
+        let of_it = parameters.find(is_it);
         let blind = display.filter(|display| display.state == MonitoringState::Blind);
         let why = match blind {
             Some(display) => display.reasons.first().cloned(),
             None if self.stale_for().is_some() => Some(NO_NEW_DATA.to_owned()),
-            None => return None,
+            None => return of_it.cloned(),
         };
+        let why = of_it.and_then(|of_it| of_it.why.clone()).or(why);
         Some(ParameterMonitoring {
             parameter: parameter.clone(),
             state: MonitoringState::Blind,

@@ -110,7 +110,15 @@ fn no_part_is_watched_without_new_data_or_in_a_blind_structure() {
     assert_eq!(why(&structures, "storey-1"), None);
     let few = told(Degraded, "too few samples");
     assert_eq!(why(&structures, "storey-2"), few);
+    changes(&mut structures, at(20));
+    let degraded = monitoring(Degraded, Degraded, &["storey-2: too few samples"]);
+    changes(&mut structures, degraded);
+    assert_eq!(why(&structures, "storey-2"), told(Blind, "too few samples"));
+    let mut structures = after([at(10), value()]);
     let ended = "the samples have ended";
+    changes(&mut structures, monitoring(Blind, Degraded, &[ended]));
+    assert_eq!(why(&structures, "storey-1"), told(Blind, ended));
+    assert_eq!(why(&structures, "storey-2"), told(Blind, "too few samples"));
     changes(&mut structures, monitoring(Blind, Watching, &[ended]));
     for parameter in ["storey-1", "storey-2"] {
         assert_eq!(why(&structures, parameter), told(Blind, ended));
