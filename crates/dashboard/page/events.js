@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
+import { NO_REPLY, fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
 import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
 import { DAY_S, Span } from "./span.js";
@@ -16,6 +16,8 @@ const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), o
 const STEP = matchMedia("(max-width: 760px)").matches ? 50 : 200;
 /** Shortest interval between two requests for the newest events (ms). */
 const FETCH_EVERY_MS = 10_000;
+/** Time after which a history that has not replied is asked again (ms). */
+const RETRY_MS = 15_000;
 
 function isOfKind({ isAlert, isUrgent }, kind) {
   return kind === "all" || (kind === "urgent" ? isUrgent : !isAlert);
@@ -65,12 +67,13 @@ export class EventsTab {
 
   async #fetch() {
     const { isLive, from_s, to_s } = this.span;
-    const asked = fetchLog(this.page.name, isLive ? {} : { from_s, to_s }).catch(() => null);
+    const asked = fetchLog(this.page.name, isLive ? {} : { from_s, to_s }).catch(() => NO_REPLY);
     [this.#asked, this.#askedAt] = [asked, performance.now()];
     const log = await asked;
     // A later request has another span.
-    if (asked !== this.#asked || log === null) return;
-    this.#log = log;
+    if (asked !== this.#asked) return;
+    // A log that has been read contains more than one without the history.
+    if (log.history !== "no-reply" || !this.#log?.isRead) this.#log = log;
     if (this.page.standing()) this.update(this.page.standing());
   }
 
@@ -102,11 +105,17 @@ export class EventsTab {
     return [all[0].filter(({ changed_ns: at }) => isWithin(at)), all[1].filter(({ time_ns: at }) => isWithin(at))];
   }
 
-  /** Fetches the log again if more has happened since than a message contains. */
+  /** Fetches the log again if the history has not replied, or if more has happened since than a message contains. */
   #catchUp({ events, changes }) {
-    if (!this.#log || !this.span.isLive || performance.now() - this.#askedAt < FETCH_EVERY_MS) return;
-    const has = (list, key, last) => !last || list.some((one) => key(one) === key(last));
-    if (!has(this.#log.events, keyOfEvent, events.at(-1)) || !has(this.#log.changes, keyOfChange, changes.at(-1))) this.#fetch();
+    if (!this.#log) return;
+    const { history, cut_at_s: cut } = this.#log;
+    const since = performance.now() - this.#askedAt;
+    const isUnread = history === "no-reply" && since > RETRY_MS;
+    // What is older than the cut cannot be in the log.
+    const has = (list, key, last, at_ns) => !last || (cut !== null && at_ns / 1e9 <= cut) || list.some((one) => key(one) === key(last));
+    const [event, change] = [events.at(-1), changes.at(-1)];
+    const isBehind = () => this.span.isLive && history !== "no-reply" && since > FETCH_EVERY_MS && !(has(this.#log.events, keyOfEvent, event, event?.time_ns) && has(this.#log.changes, keyOfChange, change, change?.changed_ns));
+    if (isUnread || isBehind()) this.#fetch();
   }
 
   update(standing) {

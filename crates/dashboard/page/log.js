@@ -7,6 +7,9 @@ import { time } from "./words.js";
 /** Largest number of messages to read from the history. The server allows 4000. */
 const MOST = 4000;
 
+/** The log without a reply. */
+export const NO_REPLY = { history: "no-reply", isRead: false, cut_at_s: null, changes: [], events: [] };
+
 /**
  * Fetches the log of a structure, of all times without a period. `isRead` states whether the history
  * has replied. `cut_at_s` is the time before which the period may contain more, or null.
@@ -14,7 +17,7 @@ const MOST = 4000;
 export async function fetchLog(structure, { from_s, to_s } = {}) {
   const period = from_s === undefined ? {} : { from: from_s, to: to_s };
   const response = await fetch(`/api/structures/${encodeURIComponent(structure)}/log?${new URLSearchParams({ ...period, most: MOST })}`);
-  if (!response.ok) return { history: "no-reply", isRead: false, cut_at_s: null, changes: [], events: [] };
+  if (!response.ok) return NO_REPLY;
   const log = await response.json();
   return { ...log, isRead: log.history === "read" };
 }
