@@ -311,7 +311,7 @@ export const english = {
   "no-event-is-known": "No events.",
   "no-event-of-this-kind": "No event of this kind.",
   "no-event-read": "The events of this period were not read.",
-  "no-history-runs": "No history service runs, so only events since the program started are known.",
+  "no-history-runs": "No history service runs, so at most the newest 200 events and 500 changes of alerts since the program started are known.",
   "no-model-natural-frequencies-only": "no model: natural frequencies only",
   "no-new-data-for": "no new data for {0}",
   "no-part-matches-the-search": "No part matches the search.",

@@ -311,7 +311,7 @@ export const german = {
   "no-event-is-known": "Kein Ereignis ist bekannt.",
   "no-event-of-this-kind": "Kein Ereignis dieser Art.",
   "no-event-read": "Die Ereignisse dieses Zeitraums wurden nicht gelesen.",
-  "no-history-runs": "Der Dienst history läuft nicht. Bekannt sind daher nur Ereignisse seit dem Start des Programms.",
+  "no-history-runs": "Der Dienst history läuft nicht. Bekannt sind daher höchstens die neuesten 200 Ereignisse und 500 Änderungen von Warnungen seit dem Start des Programms.",
   "no-model-natural-frequencies-only": "kein Modell: nur Eigenfrequenzen",
   "no-new-data-for": "seit {0} keine neuen Daten",
   "no-part-matches-the-search": "Kein Bauteil entspricht der Suche.",

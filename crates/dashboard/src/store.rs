@@ -13,9 +13,9 @@ use spandrel_bus::{
 use spandrel_listener::{AlertChange, Input, STALE_AFTER, StructureState};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Maximum number of changes of alerts. A further change replaces the oldest.
+/// Maximum number of changes of alerts. A further change replaces the oldest. The page states it.
 const CHANGES_KEPT: usize = 500;
-/// Maximum number of events. A further event replaces the oldest.
+/// Maximum number of events. A further event replaces the oldest. The page states it.
 const EVENTS_KEPT: usize = 200;
 /// Maximum number of model classes whose plausibility is stored over time. Further classes are only
 /// shown at their current value.
