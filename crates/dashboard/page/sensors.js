@@ -157,6 +157,7 @@ export class SensorsTab {
 
   /** Fetches the small waveforms and the spectra again, as after a lost connection or for another span. */
   restart() {
+    this.recording.restart();
     this.smalls?.restart();
     this.#fetchSpectra();
   }

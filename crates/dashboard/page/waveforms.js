@@ -23,8 +23,8 @@ export function longestRange({ drawing: { sensors }, sampling_rate_hz: rate }) {
 /** The samples of one range, for all plots. */
 export class Recording {
   #known = { range: null, read: null };
-  /** Why the chosen range has no waveforms, or an empty text. */
-  why = "";
+  /** Whether the server keeps points of any sensor in the chosen range. */
+  hasPoints = false;
 
   constructor({ name, about }) {
     Object.assign(this, { name, longest_s: longestRange(about), channels: about.drawing.sensors.map(({ channel }) => channel) });
@@ -34,13 +34,28 @@ export class Recording {
   choose(range) {
     if (range?.join() === this.#known.range?.join()) return;
     this.#known = { range, read: null };
-    this.why = "";
+    this.hasPoints = false;
+  }
+
+  /** Why the chosen range has no waveforms, or an empty text. */
+  get why() {
+    return this.hasPoints ? "" : (this.#known.why ?? "");
+  }
+
+  /** Reads the chosen range again if it could not be read. */
+  restart() {
+    if (this.#known.why) this.#known = { range: this.#known.range, read: null };
   }
 
   /** Returns the samples of the chosen range: times, and values by channel. Without any, only `why`. */
   read() {
     const known = this.#known;
-    known.read ??= this.#read(known).catch(() => ({ why: t("cannot-reach-spandrel") }));
+    known.read ??= this.#read(known)
+      .catch(() => ({ why: t("cannot-reach-spandrel") }))
+      .then((read) => {
+        known.why = read.why;
+        return read;
+      });
     return known.read;
   }
 
@@ -137,14 +152,14 @@ export class WaveformPoints {
     if (range?.join() !== this.#range) [this.#range, this.#recorded] = [range?.join(), new Map()];
     this.recording.choose(range);
     const came = await this.kept.fetch(names);
+    if (isLive || range.join() !== this.#range) return came;
     const isEmpty = names.every((name) => !this.kept.columns(name)?.[0].length);
-    const isFine = !isLive && to_s - from_s <= Math.min(FINE_S, this.recording.longest_s);
-    if (isLive || range.join() !== this.#range || (!isEmpty && !isFine)) return came;
-    const { times, columns: found, why } = await this.recording.read();
-    if (range.join() !== this.#range) return came;
+    const isFine = to_s - from_s <= Math.min(FINE_S, this.recording.longest_s);
+    this.recording.hasPoints ||= !isEmpty;
+    if (!isEmpty && !isFine) return came;
+    const { times, columns: found } = await this.recording.read();
     // Without samples, the extremes that the server keeps are shown.
-    if (!found && isEmpty) this.recording.why = why;
-    if (!found) return came;
+    if (!found || range.join() !== this.#range) return came;
     for (const name of names) {
       const values = found.get(name.slice(name.indexOf("/") + 1));
       const columns = values ? envelope(times, values, { from_s, to_s, count: this.kept.count }) : null;
