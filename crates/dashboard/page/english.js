@@ -515,7 +515,7 @@ export const english = {
   "switch-language-short": "DE",
   "the-interval-covers-the-errors-of-the": "The interval covers the errors of the estimates. It does not cover the influence of temperature, traffic or other conditions, so compare ranges with similar conditions. Epochs of modes count as independent.",
   "the-next-value-is-overdue": ", the next value is overdue",
-  "the-note-is-not-confirmed": "▲ The note was sent, but the service judge has not confirmed it. Is it running?",
+  "the-note-is-not-confirmed": "Not confirmed yet: judge is busy, or it refused the note. It may still appear in the list.",
   "the-note-is-saved": "The note is saved.",
   "the-samples-between-the-minimum-and-the": "The samples, between the minimum and the maximum of each tenth of a second, or of a longer part in a long span. A gap has no samples. Sensors with the same unit share a scale, here and below.",
   "the-service-judge-has-not-reported-yet": "The service judge has not reported yet.",

@@ -515,7 +515,7 @@ export const german = {
   "switch-language-short": "EN",
   "the-interval-covers-the-errors-of-the": "Das Intervall umfasst die Fehler der Schätzungen. Es umfasst nicht den Einfluss von Temperatur, Verkehr oder anderen Bedingungen. Vergleichen Sie deshalb Zeiträume mit ähnlichen Bedingungen. Epochen von Eigenformen gelten als unabhängig.",
   "the-next-value-is-overdue": ", der nächste Wert ist überfällig",
-  "the-note-is-not-confirmed": "▲ Die Bemerkung wurde gesendet, aber der Dienst judge hat sie nicht bestätigt. Läuft er?",
+  "the-note-is-not-confirmed": "Noch nicht bestätigt: judge ist beschäftigt oder hat die Bemerkung abgelehnt. Sie kann noch in der Liste erscheinen.",
   "the-note-is-saved": "Die Bemerkung ist gespeichert.",
   "the-samples-between-the-minimum-and-the": "Die Messwerte, zwischen Minimum und Maximum jeder Zehntelsekunde oder eines längeren Abschnitts. Eine Lücke hat keine Messwerte. Sensoren mit derselben Einheit haben hier und unten dieselbe Skala.",
   "the-service-judge-has-not-reported-yet": "Der Dienst judge hat noch nichts gemeldet.",

@@ -89,8 +89,10 @@ export class NoteDialog {
       const response = await fetch(`/api/structures/${encodeURIComponent(this.structure)}/annotations`, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(note) });
       const { error, allowed, kept } = await response.json();
       if (!response.ok) return this.#refuse(`${error}; ${allowed}`, this.send);
+      this.done(kept ? t("the-note-is-saved") : "");
+      // The text would be lost if judge has refused the note.
+      if (!kept) return this.#refuse(t("the-note-is-not-confirmed"), this.send);
       this.element.close();
-      this.done(kept ? t("the-note-is-saved") : t("the-note-is-not-confirmed"));
     } catch {
       this.#refuse(t("cannot-reach-spandrel-the-note-was-not"), this.send);
     }

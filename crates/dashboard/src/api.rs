@@ -548,6 +548,14 @@ async fn annotate(
     let mut annotation = noted.annotation(&*find(&server, &name)?, now_ns())?;
     annotation.who = signed(annotation.who, visitor.as_ref());
     check_certificate(&server, address, Audited::Annotation, &annotation.who)?;
+    let has_judge = find(&server, &name)?.state.has(Service::Judge);
+    if !has_judge {
+        return Err(Mistake::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "the service judge does not run, so the annotation was not sent",
+            "try again once it runs",
+        ));
+    }
     let kept = server.annotate(&annotation).await.map_err(|error| {
         Mistake::new(
             StatusCode::SERVICE_UNAVAILABLE,

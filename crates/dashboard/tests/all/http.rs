@@ -574,7 +574,21 @@ async fn annotation_is_published_and_confirmed_by_the_service_judge() {
     };
     let body = r#"{"kind":"repair","text":"new bearings","who":" Ada ","quantity":"storey-2",
         "effect":"new-reference","from":"2025-01-01"}"#;
-    let (sent, annotation) = tokio::join!(site.annotate("", body), keeping);
+    site.annotate("", body)
+        .await
+        .expect_refused(503, "the service judge does not run");
+    let instance = ServiceInstance::new(&site.bus, name("judge"));
+    let judge = spandrel_bus::Service::Judge;
+    let token = instance.announce(judge, &site.keys).await.unwrap();
+    let sending = async {
+        loop {
+            let sent = site.annotate("", body).await;
+            if sent.status != 503 {
+                return sent;
+            }
+        }
+    };
+    let (sent, annotation) = tokio::join!(sending, keeping);
     assert_eq!(
         (sent.status, sent.json()),
         (200, json!({"sent": true, "kept": true}))
@@ -624,6 +638,7 @@ async fn annotation_is_published_and_confirmed_by_the_service_judge() {
         .await
         .expect_refused(403, "another site");
     assert!(heard.messages().is_empty(), "what is refused is not sent");
+    drop(token);
     site.end().await;
 }
 
