@@ -556,6 +556,15 @@ async fn annotate(
             "try again once it runs",
         ));
     }
+    let visitor = visitor.as_ref().map(|Extension(visitor)| visitor);
+    let noted = server.gate().note(visitor, address.0, server.since_start());
+    if let Err(pause) = noted {
+        let what = "too many annotations within an hour";
+        let who = format!("{} ({})", address.0, annotation.who);
+        Audit::of_process().refuse(Audited::Annotation, &who, what);
+        let allowed = format!("must wait for {} s", pause.as_secs().max(1));
+        return Err(Mistake::new(StatusCode::TOO_MANY_REQUESTS, what, allowed));
+    }
     let kept = server.annotate(&annotation).await.map_err(|error| {
         Mistake::new(
             StatusCode::SERVICE_UNAVAILABLE,

@@ -5,7 +5,7 @@ use crate::tokens::{PageRole, Tokens, hash, hexadecimal, random};
 use axum::http::header::{AUTHORIZATION, COOKIE};
 use axum::http::{HeaderMap, HeaderValue};
 use spandrel_bus::Name;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::net::IpAddr;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -22,6 +22,9 @@ const ONE_MORE_EVERY: Duration = Duration::from_secs(6);
 /// Maximum number of addresses with recorded wrong tokens. If the record is full, addresses outside
 /// it are rejected.
 const MOST_ADDRESSES: usize = 4096;
+/// Maximum number of annotations of one visitor in this time. They cannot be deleted.
+const MOST_NOTES: usize = 30;
+const NOTES_WITHIN: Duration = Duration::from_secs(3600);
 /// Name of the session cookie.
 const COOKIE_NAME: &str = "spandrel-session";
 
@@ -75,6 +78,8 @@ struct Inner {
     /// Sessions by the hash of the cookie's value.
     sessions: BTreeMap<String, Session>,
     wrong: BTreeMap<IpAddr, Wrong>,
+    /// Times of the last annotations by name on the token, or by address without tokens.
+    notes: BTreeMap<String, VecDeque<Duration>>,
 }
 
 #[derive(Debug)]
@@ -206,6 +211,37 @@ impl Gate {
             },
         );
         Err(Refusal::Wrong)
+    }
+
+    /// Counts an annotation. Returns the time to wait if the visitor has sent too many.
+    pub(crate) fn note(
+        &self,
+        visitor: Option<&Visitor>,
+        address: IpAddr,
+        now: Duration,
+    ) -> Result<(), Duration> {
+        let who = match visitor {
+            Some(visitor) => visitor.name.to_string(),
+            None => network_of(address).to_string(),
+        };
+        let mut inner = self.lock();
+        for times in inner.notes.values_mut() {
+            times.retain(|time| now.saturating_sub(*time) < NOTES_WITHIN);
+        }
+        inner.notes.retain(|_, times| !times.is_empty());
+        if inner.notes.len() >= MOST_ADDRESSES && !inner.notes.contains_key(&who) {
+            return Err(NOTES_WITHIN);
+        }
+        let times = inner.notes.entry(who).or_default();
+        match times.front() {
+            Some(first) if times.len() >= MOST_NOTES => {
+                Err((*first + NOTES_WITHIN).saturating_sub(now))
+            }
+            _ => {
+                times.push_back(now);
+                Ok(())
+            }
+        }
     }
 
     /// Starts a browser session and returns the header that sets the cookie.
@@ -442,6 +478,21 @@ mod tests {
             let _ = gate.check("wrong", HERE, at(0));
         }
         assert!(gate.check(&secret, HERE, at(0)).is_ok());
+    }
+
+    #[test]
+    fn annotations_are_limited_by_visitor() {
+        let (gate, secret) = gate();
+        let ada = gate.check(&secret, HERE, at(0)).unwrap();
+        for second in 0..30 {
+            assert_eq!(gate.note(Some(&ada), HERE, at(second)), Ok(()));
+        }
+        assert_eq!(gate.note(Some(&ada), HERE, at(600)), Err(at(3000)));
+        assert_eq!(gate.note(None, HERE, at(600)), Ok(()));
+        assert_eq!(gate.note(Some(&ada), HERE, at(3600)), Ok(()));
+        assert_eq!(gate.note(Some(&ada), HERE, at(3600)), Err(at(1)));
+        assert_eq!(gate.note(None, HERE, at(7300)), Ok(()));
+        assert_eq!(gate.lock().notes.len(), 1);
     }
 
     #[test]

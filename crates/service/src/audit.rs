@@ -43,7 +43,7 @@ pub enum Refused {
     Connection,
     /// An acknowledgement that this page may not publish.
     Acknowledgement,
-    /// An annotation that this page may not publish.
+    /// An annotation that this page may not publish, or one after too many of the same visitor.
     Annotation,
     /// A connection to the bus without a valid handshake, mostly because of its certificate.
     BusHandshake,
