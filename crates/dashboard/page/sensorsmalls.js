@@ -24,6 +24,8 @@ export class SensorSmalls {
   #drawnAt = -Infinity;
   #updatedAt = -Infinity;
   #shown = null;
+  /** Name of the sensor whose details are shown. The search removes its plot and creates it again. */
+  #marked = null;
 
   /** `choose(channel)` opens the details of a sensor. */
   constructor(page, sensors, recording, choose) {
@@ -47,6 +49,7 @@ export class SensorSmalls {
 
   /** Marks the sensor whose details are shown. */
   mark(channel) {
+    this.#marked = channel;
     for (const [name, { element }] of this.#parts) element.setAttribute("aria-pressed", String(name === channel));
   }
 
@@ -107,7 +110,7 @@ export class SensorSmalls {
 
   #make({ channel }) {
     const parts = { sign: h("span", { class: "state", "aria-hidden": "true" }), word: h("span", { class: "word" }), last: h("span", { class: "last" }), canvas: h("canvas", { "aria-hidden": "true" }), figures: h("span", { class: "figures" }) };
-    const element = h("button", { type: "button", class: "small-sensor", "aria-pressed": "false", "data-channel": channel, onclick: () => this.choose(channel) }, h("span", { class: "head" }, parts.sign, h("span", { class: "name" }, channel), parts.word, parts.last), parts.canvas, parts.figures);
+    const element = h("button", { type: "button", class: "small-sensor", "aria-pressed": String(channel === this.#marked), "data-channel": channel, onclick: () => this.choose(channel) }, h("span", { class: "head" }, parts.sign, h("span", { class: "name" }, channel), parts.word, parts.last), parts.canvas, parts.figures);
     const part = { element, isSeen: false, ...parts };
     this.#parts.set(channel, part);
     this.seen.observe(element);
