@@ -291,14 +291,16 @@ impl Sequence {
     /// Adds an event that is later than all others, and judges it. `time_ns` is the time of its
     /// recording, ns since 1970-01-01 UTC, if it is known.
     ///
-    /// A recording without shaking that begins within twelve hours of the first recording of an
-    /// occasion belongs to it. Temperature and moisture, which make events scatter, are then the same,
+    /// A recording without shaking that begins within twelve hours of one with shaking belongs to
+    /// the same occasion. Temperature and moisture, which make events scatter, are then the same,
     /// so that both together count as one event.
     pub fn push(&mut self, event: EventCourse, time_ns: Option<i64>) -> EventJudgement {
         let index = self.events.len();
         let occasion = match (self.occasions.last(), time_ns) {
             (Some(&Occasion(first, Some(begun_ns))), Some(time_ns))
-                if !event.has_shaking && time_ns.saturating_sub(begun_ns) <= OCCASION_NS =>
+                if self.events[first].has_shaking
+                    && !event.has_shaking
+                    && time_ns.saturating_sub(begun_ns) <= OCCASION_NS =>
             {
                 Occasion(first, Some(begun_ns))
             }
