@@ -327,13 +327,14 @@ mod tests {
     }
 
     #[test]
-    fn a_message_without_the_spent_budget_is_read() {
+    fn a_message_of_a_former_version_is_read() {
         let text = String::from_utf8(display().encode().unwrap()).unwrap();
         let (before, _) = text.split_once(",\"spent\":").unwrap();
         let old = format!("{before}}}");
         let decoded = JudgementDisplay::decode("application/json", old.as_bytes()).unwrap();
         let expected = JudgementDisplay {
             spent: None,
+            configuration: None,
             ..display()
         };
         assert_eq!(decoded, expected);
