@@ -48,6 +48,18 @@ export function css(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
 
+/** Clears a canvas and fits it to its size on the page. Returns its context, in px of the page, and this size. */
+export function cleared(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const size = devicePixelRatio;
+  const [across, down] = [Math.round(width * size), Math.round(height * size)];
+  if (canvas.width !== across || canvas.height !== down) [canvas.width, canvas.height] = [across, down];
+  const ctx = canvas.getContext("2d");
+  ctx.setTransform(size, 0, 0, size, 0, 0);
+  ctx.clearRect(0, 0, width, height);
+  return { ctx, width, height };
+}
+
 export class Plot {
   #uplot = null;
   #isSeen = false;

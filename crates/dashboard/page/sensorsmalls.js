@@ -3,7 +3,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { HOLE_STEPS, css } from "./plot.js";
+import { HOLE_STEPS, cleared, css } from "./plot.js";
 import { HEALTH, clock, clockWords, levelWords, number, setSentence, time, unit } from "./words.js";
 import { WaveformPoints } from "./waveforms.js";
 
@@ -150,14 +150,8 @@ function rangeOf(columns, min, max) {
 
 /** Draws a waveform between its extremes, and the line of zero. */
 function paint({ canvas, columns }, range, { min, max }, colours) {
-  const { clientWidth: width, clientHeight: height } = canvas;
-  const size = devicePixelRatio;
-  if (width === 0) return;
-  if (canvas.width !== Math.round(width * size) || canvas.height !== Math.round(height * size)) [canvas.width, canvas.height] = [Math.round(width * size), Math.round(height * size)];
-  const ctx = canvas.getContext("2d");
-  ctx.setTransform(size, 0, 0, size, 0, 0);
-  ctx.clearRect(0, 0, width, height);
-  if (!range) return;
+  const { ctx, width, height } = cleared(canvas);
+  if (width === 0 || !range) return;
   const x = (at) => ((at - min) / (max - min)) * width;
   const y = (value) => height - ((value - range[0]) / (range[1] - range[0])) * height;
   const line = (points, colour, thickness) => {

@@ -3,7 +3,7 @@
 
 import { h, setText } from "./dom.js";
 import { t } from "./language.js";
-import { css } from "./plot.js";
+import { cleared, css } from "./plot.js";
 import { Points } from "./span.js";
 import { ratio, setSentence, stateOf, time } from "./words.js";
 
@@ -167,14 +167,8 @@ export class SmallPlots {
 
   #paint(part, range, colours) {
     const { canvas, columns } = part;
-    const { clientWidth: width, clientHeight: height } = canvas;
-    const size = devicePixelRatio;
-    if (width === 0) return;
-    if (canvas.width !== Math.round(width * size) || canvas.height !== Math.round(height * size)) [canvas.width, canvas.height] = [Math.round(width * size), Math.round(height * size)];
-    const ctx = canvas.getContext("2d");
-    ctx.setTransform(size, 0, 0, size, 0, 0);
-    ctx.clearRect(0, 0, width, height);
-    if (!range) return;
+    const { ctx, width, height } = cleared(canvas);
+    if (width === 0 || !range) return;
     const { min, max } = this.page.span.shown;
     const x = (time) => ((time - min) / (max - min)) * width;
     const y = (value) => height - ((value - range[0]) / (range[1] - range[0])) * height;

@@ -2,7 +2,7 @@
 // fetch it.
 
 import { fixed, t } from "./language.js";
-import { css } from "./plot.js";
+import { cleared, css } from "./plot.js";
 import { DAY_S } from "./span.js";
 
 /** Number of points of a line, about one in a quarter of an hour. */
@@ -71,12 +71,9 @@ export class Sparklines {
 
 /** Draws values at their shares of the day. A dot marks the newest one, so that little data is visible too. */
 function draw(canvas, shares, values) {
-  const [width, height, size] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
-  [canvas.width, canvas.height] = [width * size, height * size];
+  const { ctx, width, height } = cleared(canvas);
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const room = Math.max(0, LEAST_SPAN - (high - low)) / 2;
-  const ctx = canvas.getContext("2d");
-  ctx.scale(size, size);
   [ctx.strokeStyle, ctx.lineWidth, ctx.lineJoin] = [css("--line-1"), 1.5, "round"];
   ctx.beginPath();
   const x = (index) => 1 + Math.min(shares[index], 1) * (width - 2 - DOT);

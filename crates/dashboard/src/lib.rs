@@ -26,12 +26,24 @@
 //!
 //! Types: `topic`, `series` (bounded data over time), `about` (data from the structure file).
 //!
-//! Logic: `store` (present state and past), `innovations` (reduced to the display rate), `sensors`
-//! and `overview` (what needs attention, and why), `frequencies` (the same without a model),
-//! `levels` (samples of the last minute), `conditions` (temperatures and the like), `view` (data
-//! for the page), `history` (spans of time), `log` (changes and events of a period), `judgements`
-//! (years of a judged quantity), `entries` and `annotations` (what people enter), `reports` (reports
-//! of earthquakes), `stretch` and `samples` (samples of a range as a file).
+//! Logic of the present:
+//!
+//! - `store`: present state and past
+//! - `innovations`: reduced to the display rate
+//! - `sensors`, `overview`: what needs attention, and why
+//! - `frequencies`: the same without a model
+//! - `levels`: samples of the last minute
+//! - `conditions`: temperatures and the like
+//! - `view`: data for the page
+//!
+//! Logic of the past, and of what people enter:
+//!
+//! - `history`: spans of time
+//! - `log`: changes and events of a period
+//! - `judgements`: years of a judged quantity
+//! - `reports`: reports of earthquakes
+//! - `stretch`, `samples`: samples of a range as a file
+//! - `entries`, `annotations`: what people enter
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
 //! heads), `gate` and `entrance` (who may do what).

@@ -470,8 +470,8 @@ impl Store {
 
     /// Returns the acknowledgement of an alert, with its wall-clock time.
     ///
-    /// An alert message does not contain it. A person who has acknowledged a parameter several
-    /// times has acknowledged its last alerts, in their order.
+    /// An alert message does not contain it. If a person has acknowledged a parameter several
+    /// times, these acknowledgements belong to its last alerts, in their order.
     pub(crate) fn acknowledgement(&self, alert: &AlertMessage) -> Option<&Acknowledgement> {
         let who = alert.acknowledged_by.as_deref()?;
         let is_same = |of: &AlertMessage| {
