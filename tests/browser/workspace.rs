@@ -584,6 +584,14 @@ async fn axe_finds_no_obstacle_on_any_page() {
             assert_eq!(found, json!([]), "{hash}, {scheme}");
         }
     }
+    drop(demo);
+    let lost = "document.body.classList.contains('is-lost')";
+    browser.wait("a lost connection", lost).await;
+    for scheme in ["dark", "light"] {
+        browser.prefer(scheme).await;
+        let found = obstacles(&mut browser).await;
+        assert_eq!(found, json!([]), "without a connection, {scheme}");
+    }
 }
 
 /// Returns what axe-core finds on the page.

@@ -22,7 +22,7 @@
 //! let estimate = FrameEstimate { mean: 0.98, std: 0.02, is_learning: true, is_contradicted: false };
 //! let event = EventCourse::new(&windows, &vec![estimate; ground.len()]);
 //! let settings = JudgeSettings { loss: 0.05, credibility: 0.99, level: 0.95, weak_amplitude: 0.3 };
-//! let judgement = Sequence::new(settings)?.push(event);
+//! let judgement = Sequence::new(settings)?.push(event, None);
 //! assert!(judgement.softening.is_none() && judgement.lasting.is_empty());
 //! # Ok::<(), spandrel_earthquake::EarthquakeError>(())
 //! ```
