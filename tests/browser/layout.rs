@@ -574,8 +574,26 @@ async fn sensors_are_sorted_by_the_title_that_is_pressed() {
              }})()"
         )
     };
-    assert_eq!(browser.evaluate(&choose("4 descending")).await, true);
+    assert_eq!(browser.evaluate(&choose("5-descending")).await, true);
     assert_eq!(browser.evaluate(&is_sorted(-1)).await, true);
+    // The orders of both tables are in the address. An order that does not exist has no effect.
+    let address = "#/structure/demo/sensors?sort=2-ascending&sort-levels=5-descending";
+    assert_eq!(browser.evaluate("location.hash").await, address);
+    let go = |address: &str| {
+        format!(
+            "new Promise((done) => {{ addEventListener('hashchange', done, {{ once: true }}); \
+             location.hash = '{address}'; }})"
+        )
+    };
+    browser
+        .evaluate(&go("#/structure/demo/sensors?sort-levels=99-up"))
+        .await;
+    assert_eq!(browser.evaluate(names).await, usual);
+    browser
+        .evaluate(&go("#/structure/demo/sensors?sort-levels=5-ascending"))
+        .await;
+    assert_eq!(browser.evaluate(&order).await, "ascending");
+    assert_eq!(browser.evaluate(&is_sorted(1)).await, true);
     assert_eq!(browser.evaluate(&choose("")).await, true);
     assert_eq!(browser.evaluate(names).await, usual);
     browser.screenshot("sensors-sorted-phone").await;

@@ -257,9 +257,20 @@ async fn forty_parameters_fit_a_screen_and_are_found() {
         .await;
     assert_eq!(
         browser.evaluate("location.hash").await,
-        "#/structure/tall/parameters?parameter=storey-40"
+        "#/structure/tall/parameters?parameter=storey-40&find=storey-4"
     );
     browser.screenshot("forty-parameters-detail").await;
+    // The search of a link replaces the former one, on this tab and in the table of the parts.
+    let link = "location.hash = '#/structure/tall/parameters?find=storey-39'";
+    browser.evaluate(link).await;
+    let found = format!("JSON.stringify({names}) === '[\"storey-39\"]'");
+    browser.wait("the search of the link", &found).await;
+    let link = "location.hash = '#/structure/tall?find=storey-4'";
+    browser.evaluate(link).await;
+    let rows = "[...document.querySelectorAll('.parts tbody tr')].map((row) => \
+                row.querySelector('th').textContent).toSorted().join()";
+    let found = format!("{rows} === 'storey-4,storey-40'");
+    browser.wait("the parts of the link", &found).await;
 
     browser
         .evaluate("document.getElementById('tab-model').click()")

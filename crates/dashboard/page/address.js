@@ -45,8 +45,10 @@ export function rememberFilters(path, filters) {
   history.replaceState(null, "", `#/${path}${query ? `?${query}` : ""}`);
 }
 
-/** Returns the address of what a structure's page shows now. */
-/** `more` contains what only this tab states. */
+/**
+ * Returns the address of what a structure's page shows now. `more` contains what only this tab states;
+ * empty texts are left out.
+ */
 export function addressOf({ structure, tab, parameter, span, isOwnScale, more }) {
   const query = new URLSearchParams();
   if (parameter && tab === "lasting") query.set("quantity", parameter);
@@ -58,7 +60,7 @@ export function addressOf({ structure, tab, parameter, span, isOwnScale, more })
     query.set("span", span.length_s);
   }
   if (isOwnScale) query.set("scale", "own");
-  for (const [name, value] of Object.entries(more ?? {})) query.set(name, value);
+  for (const [name, value] of Object.entries(more ?? {})) if (value) query.set(name, value);
   return address(structure, tab === "now" ? null : tab, query);
 }
 

@@ -31,7 +31,7 @@ export class NowTab {
     const heads = h("tr", {}, titles.map((text) => h("th", { scope: "col" }, text)));
     const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": t("parts") };
     const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));
-    this.search = searchField(about.parameters.length, t("find-a-part"), () => this.update(page.standing()));
+    this.search = searchField(about.parameters.length, t("find-a-part"), () => this.#found());
     this.worst = h("section", { class: "card worst", hidden: true });
     const parts = h("section", { class: "card parts", hidden: about.parameters.length === 0 }, h("div", { class: "card-head" }, h("h2", {}, t("parts")), this.search.element), table);
     this.judgements = h("ul", { class: "sensor-list", id: "judgements" });
@@ -49,6 +49,22 @@ export class NowTab {
     const beside = about.parameters.length > 0 ? [parts, isWide ? null : this.worst] : [natural, lasting];
     const below = about.parameters.length > 0 ? [isWide ? this.worst : null, lasting, natural] : [];
     this.element = h("div", {}, h("div", { class: isWide ? "top is-wide" : "top" }, h("section", { class: "card drawn" }, this.drawing.element), h("div", {}, beside)), below, this.frequencies.element);
+  }
+
+  /** What only this tab states in the address. */
+  get query() {
+    return { find: this.search.text() };
+  }
+
+  /** Searches for the text in the address. */
+  goto(_, parameters) {
+    this.search.enter(parameters.get("find") ?? "");
+    if (this.page.standing()) this.update(this.page.standing());
+  }
+
+  #found() {
+    this.update(this.page.standing());
+    this.page.changed();
   }
 
   get plots() {

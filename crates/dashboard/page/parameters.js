@@ -26,7 +26,7 @@ export class ParametersTab {
     const drag = matchMedia("(any-pointer: fine)").matches ? ` ${t("drag-across-a-plot")}` : "";
     const words = isMany ? t("line-estimate-band-95-per-cent-interval") : t("line-estimate-bands-50-95-and-99") + drag;
     const text = h("p", { class: "group-text" }, t("ratio-to-the-design-1-is-as", words));
-    this.search = searchField(parameters.length, t("find-a-part"), () => this.smalls.filter((name) => this.search.finds(name)));
+    this.search = searchField(parameters.length, t("find-a-part"), () => this.#found());
     this.smalls = isMany ? new SmallPlots(page, (name) => this.#open(name)) : null;
     this.detail = h("div", { class: "detail", hidden: true });
     if (isMany) this.smalls.above = this.detail;
@@ -61,8 +61,28 @@ export class ParametersTab {
     this.smalls?.draw(options);
   }
 
-  /** Shows the parameter in the address. */
-  goto(name) {
+  /** What only this tab states in the address. */
+  get query() {
+    return { find: this.search.text() };
+  }
+
+  /** Shows the parameter in the address, and searches for the text in it. */
+  goto(name, parameters) {
+    this.search.enter(parameters.get("find") ?? "");
+    this.#filter();
+    this.#show(name);
+  }
+
+  #filter() {
+    this.smalls?.filter((name) => this.search.finds(name));
+  }
+
+  #found() {
+    this.#filter();
+    this.page.changed();
+  }
+
+  #show(name) {
     const parameter = this.page.about.parameters.find((parameter) => parameter.name === name);
     this.element.querySelectorAll(".plot.is-chosen").forEach((chosen) => chosen.classList.remove("is-chosen"));
     if (!parameter) return this.#close();
@@ -75,7 +95,7 @@ export class ParametersTab {
 
   #open(name) {
     if (name === this.chosen) this.#close();
-    else this.goto(name);
+    else this.#show(name);
     // The button that closes the details is gone with them.
     if (this.chosen === null) this.smalls.focus(name);
     this.page.changed();

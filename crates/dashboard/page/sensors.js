@@ -39,7 +39,10 @@ export class SensorsTab {
     const { about } = page;
     this.sensors = new Map(about.drawing.sensors.map((sensor) => [sensor.channel, sensor]));
     this.rows = h("tbody");
-    const changed = () => this.update(page.standing());
+    const changed = () => {
+      this.update(page.standing());
+      page.changed();
+    };
     this.sorting = new Sorting(COLUMNS.sensors, HINTS, changed);
     this.levelSorting = new Sorting(COLUMNS.levels, HINTS, changed);
     const heads = h("tr", {}, this.sorting.heads);
@@ -100,11 +103,16 @@ export class SensorsTab {
 
   /** What only this tab states in the address. */
   get query() {
-    return this.chosen ? { sensor: this.chosen } : {};
+    return { sensor: this.chosen, find: this.search.text(), sort: this.sorting.text, "sort-levels": this.levelSorting.text };
   }
 
-  /** Shows the sensor and the waveforms of the range in the address. */
+  /** Shows the sensor, the waveforms of the range, the search and the order in the address. */
   goto(_, parameters) {
+    const text = (name) => parameters.get(name) ?? "";
+    this.search.enter(text("find"));
+    this.sorting.enter(text("sort"));
+    this.levelSorting.enter(text("sort-levels"));
+    if (this.page.standing()) this.update(this.page.standing());
     this.#isSought = parameters.has("from");
     const channel = parameters.get("sensor");
     this.#choose(this.smalls && this.sensors.has(channel) ? channel : null);

@@ -7,6 +7,9 @@ import { natural } from "./words.js";
 /** The next order of a column. Without one, the rows have their usual order. */
 const NEXT = new Map([[null, "ascending"], ["ascending", "descending"], ["descending", null]]);
 
+/** Returns the name of an order in an address. */
+const nameOf = (column, order) => `${column + 1}-${order}`;
+
 export class Sorting {
   #column = null;
   #order = null;
@@ -17,7 +20,7 @@ export class Sorting {
       const button = h("button", { type: "button", class: "sort", onclick: () => this.#choose(column, NEXT.get(column === this.#column ? this.#order : null), changed) }, title);
       return h("th", { scope: "col", title: hints[title] }, button);
     });
-    const options = titles.flatMap((title, column) => ["ascending", "descending"].map((order) => h("option", { value: `${column} ${order}` }, `${title} ${order === "ascending" ? "↑" : "↓"}`)));
+    const options = titles.flatMap((title, column) => ["ascending", "descending"].map((order) => h("option", { value: nameOf(column, order) }, `${title} ${order === "ascending" ? "↑" : "↓"}`)));
     this.list = h("select", { onchange: () => this.#choose(...this.#listed(), changed) }, h("option", { value: "" }, t("usual-order")), options);
     this.field = h("label", { class: "sort-by" }, t("sort-by"), " ", this.list);
   }
@@ -35,14 +38,26 @@ export class Sorting {
     return valued.map(({ row }) => row);
   }
 
-  #listed() {
-    const [column, order] = this.list.value.split(" ");
-    return [Number(column), order ?? null];
+  /** The chosen order for an address, such as `2-descending`. Empty for the usual order. */
+  get text() {
+    return this.list.value;
   }
 
-  #choose(column, order, changed) {
+  /** Chooses the order in an address, or the usual order if there is no such one. */
+  enter(text) {
+    this.list.value = text;
+    if (this.list.selectedIndex < 0) this.list.value = "";
+    this.#choose(...this.#listed());
+  }
+
+  #listed() {
+    const [column, order] = this.list.value.split("-");
+    return [Number(column) - 1, order ?? null];
+  }
+
+  #choose(column, order, changed = () => {}) {
     [this.#column, this.#order] = [column, order];
-    this.list.value = order === null ? "" : `${column} ${order}`;
+    this.list.value = order === null ? "" : nameOf(column, order);
     this.heads.forEach((head, index) => setAttribute(head, "aria-sort", index === column ? this.#order : null));
     changed();
   }
