@@ -260,6 +260,25 @@ async fn numbers_have_a_minus_sign_and_a_power_of_ten() {
     );
 }
 
+/// Regression test: where a busy service published every tenth value, a curve had gaps.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_curve_has_a_gap_only_where_more_than_every_tenth_value_is_missing() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&[]);
+    browser.open(&demo.page).await;
+    let script = "(async () => {
+        const { pieces } = await import('/chart.js');
+        const regular = Array.from({ length: 50 }, (_, index) => index / 10);
+        const busy = [1, 2, 3].map((index) => 4.9 + index);
+        const late = [14.9, 15];
+        const lengths = (times) => pieces(times, times).map((rows) => rows.length);
+        return [lengths([...regular, ...busy]), lengths([...regular, ...busy, ...late])];
+      })()";
+    assert_eq!(browser.evaluate(script).await, json!([[53], [53, 2]]));
+}
+
 /// Regression test: on a phone, a time covered the next fact, tables were cut off, and the bar had
 /// a second row with a single dot. German words are the longest.
 #[tokio::test(flavor = "multi_thread")]

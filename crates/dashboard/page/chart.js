@@ -111,7 +111,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
 }
 
 /** Returns the rows with values, in pieces without long gaps. */
-function pieces(times, means) {
+export function pieces(times, means) {
   const rows = times.map((_, row) => row).filter((row) => means[row] !== null);
   const steps = rows.slice(1).map((row, index) => times[row] - times[rows[index]]);
   const usual = steps.toSorted((a, b) => a - b)[steps.length >> 1] ?? 0;
