@@ -1,17 +1,16 @@
 //! `spandrel judge`: the example of the book, and series with mistakes.
 
-use crate::support::{StiffnessLoss, seasons};
+use spandrel_validate::{StiffnessLoss, seasons, seasons_csv};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// First day of the example: 1 July 2024 (days since 1970-01-01 UTC).
-const FIRST_DAY: f64 = 19_905.0;
 /// Length of the example.
 const DAYS: u32 = 510;
 /// Loss of the first mode of the example.
 const LOSS: StiffnessLoss = StiffnessLoss {
     share: 0.05,
     day: 480,
+    repair_day: None,
 };
 /// Date of the loss.
 const LOSS_DATE: &str = "2025-10-24";
@@ -39,15 +38,7 @@ fn text(bytes: &[u8]) -> String {
 
 /// Returns the simulated series of the example.
 fn simulated() -> String {
-    let mut text = "time,f1_hz,f2_hz,deck_celsius\n".to_owned();
-    for row in seasons(1, DAYS, Some(LOSS)) {
-        let seconds = SECONDS_PER_DAY * (row.day + FIRST_DAY);
-        let [first, second] = row
-            .frequencies
-            .map(|value| value.map_or(String::new(), |hertz| format!("{hertz:.4}")));
-        text += &format!("{seconds:.0},{first},{second},{:.2}\n", row.deck);
-    }
-    text
+    seasons_csv(&seasons(1, DAYS, Some(LOSS)))
 }
 
 #[test]

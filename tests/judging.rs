@@ -1,14 +1,13 @@
 //! The service `judge`, fed with the estimates and temperatures of years in seconds.
 
-use crate::support::{
-    DEADLINE, Finished, HOUSE, Process, SeasonRow, Site, StiffnessLoss, seasons, within,
-};
+use crate::support::{DEADLINE, Finished, HOUSE, Process, Site, within};
 use serde_json::Value;
 use spandrel_bus::{
     Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay,
     JudgementState, LiveToken, MonitoringDisplay, MonitoringState, Name, Pace, ParameterDisplay,
     Service, Status, Subscription,
 };
+use spandrel_validate::{SeasonRow, StiffnessLoss, seasons};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener};
@@ -126,7 +125,7 @@ impl Others {
     }
 
     async fn put(&self, row: &SeasonRow, deck: f64) {
-        let time_ns = ((FIRST_DAY as f64 + row.day) * 86_400.0) as i64 * SECOND_NS;
+        let time_ns = row.time_s() as i64 * SECOND_NS;
         let condition = ConditionDisplay {
             structure: name("house"),
             name: name("deck"),
@@ -376,6 +375,7 @@ async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit()
     let loss = StiffnessLoss {
         share: 0.05,
         day: 480,
+        repair_day: None,
     };
     let rows = seasons(1, 510, Some(loss));
     let mut others = Others::start(house("commissioning-days = 365")).await;
@@ -526,6 +526,7 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     let loss = StiffnessLoss {
         share: 0.15,
         day: 45,
+        repair_day: None,
     };
     let rows = seasons(1, 100, Some(loss));
     let mut others = Others::start(house(SHORT)).await;
@@ -593,6 +594,7 @@ async fn a_loss_of_simulated_samples_is_judged_and_pages_nobody() {
     let loss = StiffnessLoss {
         share: 0.15,
         day: 45,
+        repair_day: None,
     };
     let rows = seasons(1, 70, Some(loss));
     let mut others = Others::start(house(SHORT)).await;
@@ -627,6 +629,7 @@ async fn a_past_judgement_is_repeated_with_the_configuration_of_then() {
     let loss = StiffnessLoss {
         share: 0.15,
         day: 45,
+        repair_day: None,
     };
     let rows = seasons(1, 80, Some(loss));
     let mut others = Others::start(house(SHORT)).await;

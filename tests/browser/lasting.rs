@@ -1,8 +1,8 @@
 //! The year of a judged quantity on the page: 510 days that the service judge has in its file.
 
 use super::{Browser, Program, browser, free_address};
-use crate::support::{StiffnessLoss, seasons};
 use spandrel_checkpoint::fingerprint;
+use spandrel_validate::{StiffnessLoss, seasons};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -10,11 +10,10 @@ const JUDGE: &str = "[judge]\nepoch-s = 21600\n\
                      [[judge.quantity]]\nname = \"storey-1\"\nis = \"stiffness\"\n\
                      [[judge.quantity]]\nname = \"storey-2\"\nis = \"stiffness\"\n\
                      [[judge.condition]]\nname = \"deck\"\nunit = \"degC\"\n";
-/// First day of the series: 1 July 2024 (days since 1970-01-01 UTC).
-const FIRST_DAY: f64 = 19_905.0;
 const LOSS: StiffnessLoss = StiffnessLoss {
     share: 0.05,
     day: 480,
+    repair_day: None,
 };
 /// Frequencies of the two modes of the simulated seasons at 0 °C (Hz).
 const FREQUENCIES: [f64; 2] = [2.31, 3.87];
@@ -37,8 +36,7 @@ fn epochs() -> String {
         .to_owned();
     let mut before = check(&text, "");
     for row in seasons(1, 510, Some(LOSS)) {
-        let seconds = (FIRST_DAY + row.day) * 86_400.0;
-        let mut line = format!("{seconds:.9},");
+        let mut line = format!("{:.9},", row.time_s());
         for (value, at_zero) in row.frequencies.into_iter().zip(FREQUENCIES) {
             if let Some(value) = value {
                 write!(line, "{}", (value / at_zero).powi(2)).unwrap();

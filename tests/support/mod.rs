@@ -14,7 +14,6 @@ pub mod page;
 mod preload;
 mod process;
 mod record;
-mod seasons;
 mod secured;
 mod sensors;
 mod site;
@@ -31,7 +30,6 @@ pub use estimates::{EstimateReader, Estimated, Identified, assert_same_bits, ide
 pub use lab::{Lab, Link};
 pub use process::{Finished, Process, spandrel};
 pub use record::Record;
-pub use seasons::{SeasonRow, StiffnessLoss, seasons};
 pub use secured::Secured;
 pub use sensors::{Node, Sensors, put_raw};
 pub use site::{Site, free_endpoint};

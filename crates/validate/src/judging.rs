@@ -4,12 +4,15 @@
 //! the judgement. A structure that is not ready counts as sound years without an alarm, and as a
 //! loss that is not judged.
 //!
-//! `series` and `overpass` judge real structures.
+//! `series` and `overpass` judge real structures. `footbridge` is the simulated series of the
+//! documentation, which no case judges.
 
 mod bridge;
+mod footbridge;
 mod overpass;
 mod series;
 
+pub use footbridge::{SeasonRow, StiffnessLoss, seasons, seasons_csv};
 pub(crate) use series::CASES as REAL_CASES;
 
 use crate::cases::Case;
@@ -24,6 +27,8 @@ use spandrel_judge::{
 };
 
 const SOURCE: &str = "Lasting change, simulated";
+/// Epochs per day of the simulated structures.
+const PER_DAY: u32 = 4;
 /// Budget of the structures (false alarms per year).
 const BUDGET: f64 = 0.1;
 /// Largest allowed rate of false alarms, relative to the budget.
@@ -74,6 +79,11 @@ pub(crate) static CASES: &[Case] = &[
         run: |run| losses(run, Site::Massive),
     },
 ];
+
+/// Returns the share that a process with a memory of `days` keeps from one epoch to the next.
+fn kept(days: f64) -> f64 {
+    (-1.0 / (days * f64::from(PER_DAY))).exp()
+}
 
 /// Judges the simulated structure of a seed.
 fn judge(seed: u64, wanted: Wanted) -> Result<(Judge, Vec<Judgement>), ValidateError> {

@@ -13,6 +13,9 @@
 //! let report = Plan::new(vec![case], vec![1], Length::Quick).run(&Quiet).expect("nothing is read or written");
 //! assert!(report.passed());
 //! ```
+//!
+//! [`seasons`] simulates natural frequencies of a footbridge over years, for documentation and
+//! practice.
 
 mod cases;
 mod error;
@@ -36,6 +39,7 @@ mod tracking;
 pub use cases::{Case, cases, select};
 pub use error::ValidateError;
 pub use figure::{Figure, Judgement, Required};
+pub use judging::{SeasonRow, StiffnessLoss, seasons, seasons_csv};
 pub use outcome::{Outcome, Plot, Series, SeriesKind, Table};
 pub use plan::{Plan, Quiet, Watch};
 pub use report::{CaseReport, FigureReport, Program, Report};

@@ -6,12 +6,11 @@
 //! exponentially with warmth, and ice grows and melts with the heat that it takes. Moisture is
 //! never measured. Every seed is another structure in another climate.
 
+use super::{PER_DAY, kept};
 use crate::statistics::{Normal, Uniform};
 use spandrel_judge::Epoch;
 use std::f64::consts::TAU;
 
-/// Epochs per day.
-const PER_DAY: u32 = 4;
 const DAY_S: f64 = 86_400.0;
 /// Day of the year (from 1 January) with the warmest air.
 const WARMEST_DAY: f64 = 200.0;
@@ -257,11 +256,6 @@ impl Gaps {
 
 fn exponential(random: &mut Uniform, mean: f64) -> f64 {
     -mean * random.between(1e-9, 1.0).ln()
-}
-
-/// Returns the share that a process with a memory of `days` keeps from one epoch to the next.
-fn kept(days: f64) -> f64 {
-    (-1.0 / (days * f64::from(PER_DAY))).exp()
 }
 
 /// A stationary process with memory, of unit variance.

@@ -1,9 +1,17 @@
-//! A simulated footbridge: natural frequencies of two modes, and the temperature of its deck.
+//! A simulated footbridge for documentation and practice: natural frequencies of two modes, and the
+//! temperature of its deck, over seasons, weather and frost.
+//!
+//! Every seed is the same bridge under other weather. In contrast, every seed of `bridge` is another
+//! structure. The two share no random numbers: published figures depend on those of `bridge`, while
+//! files in the documentation depend on these.
 
+use super::{PER_DAY, kept};
 use std::f64::consts::TAU;
+use std::fmt::Write as _;
 
-/// Epochs per day.
-const PER_DAY: u32 = 4;
+const DAY_S: f64 = 86_400.0;
+/// First day: 1 July 2024 (days since 1970-01-01 UTC).
+const FIRST_DAY: f64 = 19_905.0;
 /// Mean, yearly and daily amplitude of the air temperature (°C).
 const AIR: (f64, f64, f64) = (8.0, 10.0, 4.0);
 /// Standard deviation (°C) and memory (days) of the weather.
@@ -29,12 +37,14 @@ pub struct StiffnessLoss {
     pub share: f64,
     /// Day of the series on which it happens, from 0.
     pub day: u32,
+    /// Day of the series from which the stiffness is as before. `None` if it remains lost.
+    pub repair_day: Option<u32>,
 }
 
 /// One row of the series.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SeasonRow {
-    /// Middle of the epoch, in days from the first midnight, which begins the first of July.
+    /// Middle of the epoch, in days from the first midnight, which begins 1 July 2024 UTC.
     pub day: f64,
     /// Frequency of each mode (Hz), or `None` if it was not determined.
     pub frequencies: [Option<f64>; 2],
@@ -42,7 +52,47 @@ pub struct SeasonRow {
     pub deck: f64,
 }
 
-/// Returns the rows of some days. Bridges of different seeds are independent.
+impl SeasonRow {
+    /// Returns the middle of the epoch (s since 1970-01-01 UTC).
+    #[must_use]
+    pub fn time_s(&self) -> f64 {
+        DAY_S * (self.day + FIRST_DAY)
+    }
+}
+
+impl StiffnessLoss {
+    /// Returns the remaining share of the stiffness at a time of the series (days).
+    fn remaining(&self, day: f64) -> f64 {
+        let is_repaired = self
+            .repair_day
+            .is_some_and(|repair| day >= f64::from(repair));
+        match day >= f64::from(self.day) && !is_repaired {
+            true => 1.0 - self.share,
+            false => 1.0,
+        }
+    }
+}
+
+/// Returns the series as a CSV file, with an empty field for a frequency that was not determined.
+#[must_use]
+pub fn seasons_csv(rows: &[SeasonRow]) -> String {
+    let mut text = "time,f1_hz,f2_hz,deck_celsius\n".to_owned();
+    for row in rows {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{:.0},", row.time_s());
+        for value in row.frequencies {
+            if let Some(hertz) = value {
+                let _ = write!(text, "{hertz:.4}");
+            }
+            text.push(',');
+        }
+        let _ = writeln!(text, "{:.2}", row.deck);
+    }
+    text
+}
+
+/// Returns the rows of some days, four a day. Series of different seeds are independent.
+#[must_use]
 pub fn seasons(seed: u64, days: u32, loss: Option<StiffnessLoss>) -> Vec<SeasonRow> {
     let mut random = SplitMix(seed);
     let mut weather = Memory::new(WEATHER.1, &mut random);
@@ -63,8 +113,8 @@ pub fn seasons(seed: u64, days: u32, loss: Option<StiffnessLoss>) -> Vec<SeasonR
             let scatter = WANDER.0 * wander[mode].next(&mut random)
                 + HOURS.0 * hours[mode].next(&mut random)
                 + ERROR * random.normal();
-            let lost = loss.filter(|loss| mode == 0 && day >= f64::from(loss.day));
-            let stiffness = lost.map_or(1.0, |loss| 1.0 - loss.share);
+            let lost = loss.filter(|_| mode == 0);
+            let stiffness = lost.map_or(1.0, |loss| loss.remaining(day));
             let value = frequency * (slope * deck + rise * frozen + scatter).exp();
             let is_present = random.uniform() >= MISSED;
             frequencies[mode] = is_present.then_some(value * stiffness.sqrt());
@@ -76,11 +126,6 @@ pub fn seasons(seed: u64, days: u32, loss: Option<StiffnessLoss>) -> Vec<SeasonR
         });
     }
     rows
-}
-
-/// Returns the share that a process with a memory of `days` keeps from one epoch to the next.
-fn kept(days: f64) -> f64 {
-    (-1.0 / (days * f64::from(PER_DAY))).exp()
 }
 
 /// A process with memory, of unit variance.
@@ -122,5 +167,43 @@ impl SplitMix {
     fn normal(&mut self) -> f64 {
         let radius = (-2.0 * self.uniform().ln()).sqrt();
         radius * (TAU * self.uniform()).cos()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_changes_only_the_first_mode_until_its_repair() {
+        let loss = StiffnessLoss {
+            share: 0.19,
+            day: 5,
+            repair_day: Some(10),
+        };
+        let (sound, damaged) = (seasons(3, 20, None), seasons(3, 20, Some(loss)));
+        for (sound, damaged) in sound.iter().zip(&damaged) {
+            let [first, second] = sound.frequencies;
+            let is_lost = (5.0..10.0).contains(&sound.day);
+            let share = if is_lost { 0.9 } else { 1.0 }; // the frequency is √stiffness
+            match (first, damaged.frequencies[0]) {
+                (Some(sound), Some(found)) => assert!((found / sound - share).abs() < 1e-12),
+                (sound, found) => assert_eq!(sound, found),
+            }
+            assert_eq!((second, sound.deck), (damaged.frequencies[1], damaged.deck));
+        }
+    }
+
+    #[test]
+    fn a_missing_frequency_is_an_empty_field() {
+        let row = SeasonRow {
+            day: 0.125,
+            frequencies: [Some(2.272_49), None],
+            deck: 14.736,
+        };
+        assert_eq!(
+            seasons_csv(&[row]),
+            "time,f1_hz,f2_hz,deck_celsius\n1719802800,2.2725,,14.74\n"
+        );
     }
 }
