@@ -1,18 +1,12 @@
 //! `spandrel judge`: the example of the book, and series with mistakes.
 
-use spandrel_validate::{StiffnessLoss, seasons, seasons_csv};
+use spandrel_validate::seasons;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Length of the example.
 const DAYS: u32 = 510;
-/// Loss of the first mode of the example.
-const LOSS: StiffnessLoss = StiffnessLoss {
-    share: 0.05,
-    day: 480,
-    repair_day: None,
-};
-/// Date of the loss.
+/// Date of the loss of the example.
 const LOSS_DATE: &str = "2025-10-24";
 const SECONDS_PER_DAY: f64 = 86_400.0;
 
@@ -36,22 +30,63 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Returns the simulated series of the example.
-fn simulated() -> String {
-    seasons_csv(&seasons(1, DAYS, Some(LOSS)))
+/// Runs `spandrel judge --example`.
+fn write_example(path: &Path, options: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    command.args(["judge", "--example"]).arg(path);
+    command.args(options.split_whitespace()).output().unwrap()
 }
 
+/// The file also shows that the series of a seed does not change.
 #[test]
-fn the_example_series_is_that_of_the_simulation() {
+fn the_example_series_is_that_of_the_command() {
     let path = example("footbridge.csv");
+    let folder = tempfile::tempdir().unwrap();
+    let written = folder.path().join("footbridge.csv");
+    let output = write_example(&written, "--days 510 --loss 0.05 --loss-day 480");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let told = format!("{}: 2040 epochs, 510 days, seed 1\n", written.display());
+    assert_eq!(text(&output.stdout), told);
+    let simulated = std::fs::read_to_string(written).unwrap();
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, simulated()).unwrap();
+        std::fs::write(&path, &simulated).unwrap();
     }
     let found = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
-        found == simulated(),
+        found == simulated,
         "docs/examples/judge/footbridge.csv differs from the simulation; UPDATE_DOCS=1 rewrites it"
     );
+}
+
+#[test]
+fn a_mistake_in_the_options_of_the_example_is_named_and_nothing_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("example.csv");
+    for (options, told) in [
+        ("--days 0", "0 is not in 1..=3653"),
+        (
+            "--days 10 --loss 0.05 --loss-day 10",
+            "--loss-day: 10, must be below --days",
+        ),
+        (
+            "--loss 0.05 --loss-day 400 --repair-day 400",
+            "--repair-day: 400, must be above --loss-day and below --days",
+        ),
+        ("--loss 1.5 --loss-day 400", "must be above 0 and below 1"),
+        ("--loss 0.05", "--loss-day <DAY>"),
+        ("--loss-day 400", "--loss <SHARE>"),
+        ("--series other.csv", "cannot be used with"),
+    ] {
+        let output = write_example(&path, options);
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{options}: {stderr}");
+        assert!(stderr.contains(told), "{options}: {stderr}");
+        assert!(!path.exists(), "{options}");
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_spandrel"));
+    let output = command.args(["judge", "--seed", "2"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("--example <FILE>"));
 }
 
 #[test]

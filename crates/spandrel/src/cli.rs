@@ -12,7 +12,8 @@ pub use operation::{
 };
 pub use recordings::{
     BaselineArguments, CheckArguments, ConvertArguments, EarthquakeArguments, EstimateArguments,
-    FilterChoice, InfoArguments, JudgeArguments, ModesArguments, ValidateArguments,
+    ExampleArguments, FilterChoice, InfoArguments, JudgeArguments, ModesArguments,
+    ValidateArguments,
 };
 pub use services::{
     BenchArguments, DemoArguments, FeedArguments, IdentifyArguments, NotifyArguments,
@@ -154,9 +155,10 @@ pub enum Command {
     Check(CheckArguments),
     /// Judge stiffnesses or natural frequencies for lasting change: live, or a series offline.
     ///
-    /// Without --series and --at, run the service that judges the live estimates.
+    /// Without --series, --at and --example, run the service that judges the live estimates.
     #[command(
         after_help = "Examples: spandrel judge --config spandrel.toml\n          \
+                      spandrel judge --example footbridge.csv --loss 0.05 --loss-day 480\n          \
                       spandrel judge footbridge.toml --series footbridge.csv\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --report\n          \
                       spandrel judge footbridge.toml --series footbridge.csv --json\n          \

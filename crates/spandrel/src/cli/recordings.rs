@@ -39,6 +39,48 @@ pub struct JudgeArguments {
     pub with_configuration: Option<String>,
     #[command(flatten)]
     pub service: ServiceArguments,
+    #[command(flatten)]
+    pub example: ExampleArguments,
+}
+
+/// Options of the simulated series for practice.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Example series")]
+pub struct ExampleArguments {
+    /// Write a simulated series of a footbridge to this CSV file, instead of judging.
+    ///
+    /// It has four epochs a day with two natural frequencies and the temperature of the deck, from
+    /// 1 July 2024 on.
+    #[arg(long, value_name = "FILE")]
+    #[arg(conflicts_with_all = [
+        "series", "report", "json", "annotations", "course", "at", "with_configuration",
+        "structures",
+    ])]
+    pub example: Option<PathBuf>,
+    /// Length of the series (days).
+    ///
+    /// The default is a year to learn the reference, and a year to judge.
+    #[arg(long, value_name = "N", default_value_t = 730, requires = "example")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=3_653), allow_negative_numbers = true)]
+    pub days: u32,
+    /// Seed of weather and scatter.
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "example")]
+    pub seed: u64,
+    /// Share of the stiffness that the first mode loses, such as 0.05 [default: no loss].
+    #[arg(
+        long,
+        value_name = "SHARE",
+        requires = "example",
+        requires = "loss_day"
+    )]
+    #[arg(value_parser = below_1, allow_negative_numbers = true)]
+    pub loss: Option<f64>,
+    /// Day of the loss, from 0.
+    #[arg(long, value_name = "DAY", requires = "loss")]
+    pub loss_day: Option<u32>,
+    /// Day on which the loss is repaired [default: it remains].
+    #[arg(long, value_name = "DAY", requires = "loss_day")]
+    pub repair_day: Option<u32>,
 }
 
 #[derive(Debug, Args)]

@@ -1,6 +1,7 @@
 //! `spandrel judge`: judges live estimates, or a series of natural frequencies or stiffnesses
-//! offline, or repeats a past judgement.
+//! offline, repeats a past judgement, or writes a simulated series.
 
+mod example;
 mod past;
 
 use super::run::{Services, one};
@@ -26,6 +27,9 @@ const MOST_ANNOTATION_BYTES: u64 = 64 << 20;
 /// # Errors
 /// A file is not valid, a condition has a value that its unit does not allow, or the service fails.
 pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
+    if let Some(file) = &arguments.example.example {
+        return example::run(file, &arguments.example);
+    }
     if let Some(at) = &arguments.at {
         return past::run(arguments, at);
     }
