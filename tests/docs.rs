@@ -374,6 +374,18 @@ fn the_limits_of_a_restart_apply_only_without_a_state_folder() {
     assert!(of_alert[0].starts_with(condition), "{}", of_alert[0]);
 }
 
+/// The file of the tutorial is that of the examples, which readers can copy.
+#[test]
+fn the_tutorial_on_a_year_prints_its_structure_file() {
+    let path = root().join("docs/examples/judge/footbridge.toml");
+    let file = std::fs::read_to_string(path).unwrap();
+    let command = format!("cat > footbridge.toml <<'END'\n{file}END\n");
+    assert!(
+        page("year.md").contains(&command),
+        "docs/year.md does not print docs/examples/judge/footbridge.toml"
+    );
+}
+
 /// Regression test: the page contradicted its own structure file about a sensor.
 #[test]
 fn the_tutorial_agrees_with_its_structure_file_about_the_sensors() {

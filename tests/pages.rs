@@ -19,6 +19,11 @@ fn the_ten_minute_tutorial_works_as_printed() {
 }
 
 #[test]
+fn the_tutorial_on_a_year_works_as_printed() {
+    assert_eq!(Page::open("year.md").follow(here), 10);
+}
+
+#[test]
 fn the_laboratory_frame_tutorial_works_as_printed() {
     let Some(records) = records_or_skip("mini-shake-table") else {
         return;

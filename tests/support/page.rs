@@ -4,9 +4,11 @@
 //! A block ` ```sh ` runs and must succeed. A block ` ```sh service ` is a separate terminal, which
 //! runs until the end of the page. The block ` ```text ` after either is its output, standard
 //! output and errors together. It is compared line by line without empty lines. A line with `…`
-//! alone matches any lines, and `…` within a line matches any words.
+//! alone matches any lines, and `…` within a line matches any words. `UPDATE_DOCS=1` rewrites an
+//! output without `…` that differs, except that of a service.
 
 use crate::support::Process;
+use std::ops::Range;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -22,6 +24,15 @@ struct Step {
     script: String,
     is_service: bool,
     shown: Option<Vec<String>>,
+    /// Number of lines of the page before the first line of `shown`.
+    lines_before_shown: usize,
+}
+
+/// An output that differs from the page.
+struct Changed {
+    /// Lines of the page, from 0.
+    place: Range<usize>,
+    said: String,
 }
 
 /// A page, and the folder in which its commands run.
@@ -77,6 +88,7 @@ impl Page {
     pub fn follow(&self, shell: impl Fn() -> Command) -> usize {
         let mut services = Services(Vec::new());
         let mut compared = 0;
+        let mut changed = Vec::new();
         for step in &self.steps {
             let told = format!("{}:{}:\n{}", self.path.display(), step.line, step.script);
             println!("{told}");
@@ -100,17 +112,36 @@ impl Page {
                     "{told}\n  ends with {}, and says:\n{said}",
                     output.status
                 );
-                if let Some(difference) = step
-                    .shown
-                    .as_ref()
-                    .and_then(|shown| differences(shown, &said))
+                if let Some(shown) = &step.shown
+                    && let Some(difference) = differences(shown, &said)
                 {
-                    panic!("{told}\n  {difference}\n  it says:\n{said}");
+                    let is_whole = !shown.iter().any(|line| line.contains(LEFT_OUT));
+                    match is_whole && std::env::var_os("UPDATE_DOCS").is_some() {
+                        true => changed.push(Changed {
+                            place: step.lines_before_shown..step.lines_before_shown + shown.len(),
+                            said: said.into_owned(),
+                        }),
+                        false => panic!("{told}\n  {difference}\n  it says:\n{said}"),
+                    }
                 }
             }
             compared += usize::from(step.shown.is_some());
         }
+        self.rewrite(&changed);
         compared
+    }
+
+    /// Replaces outputs on the page, which are in its order.
+    fn rewrite(&self, changed: &[Changed]) {
+        if changed.is_empty() {
+            return;
+        }
+        let page = std::fs::read_to_string(&self.path).unwrap();
+        let mut lines: Vec<&str> = page.lines().collect();
+        for Changed { place, said } in changed.iter().rev() {
+            lines.splice(place.clone(), said.lines().map(str::trim_end));
+        }
+        std::fs::write(&self.path, lines.join("\n") + "\n").unwrap();
     }
 
     fn prepare(&self, command: &mut Command, script: &str) {
@@ -188,11 +219,13 @@ fn steps(page: &str) -> Vec<Step> {
                     script: lines.join("\n"),
                     is_service,
                     shown: None,
+                    lines_before_shown: 0,
                 });
             }
             "text" => {
                 if let Some(last) = steps.last_mut().filter(|last| last.shown.is_none()) {
                     last.shown = Some(lines.into_iter().map(str::to_owned).collect());
+                    last.lines_before_shown = first - 1;
                 }
             }
             _ => {}
@@ -329,6 +362,7 @@ mod tests {
             (5, "a\nb", false)
         );
         assert_eq!(found[0].shown, Some(vec!["said".to_owned()]));
+        assert_eq!(page.lines().nth(found[0].lines_before_shown), Some("said"));
         assert_eq!(
             (
                 found[1].script.as_str(),
