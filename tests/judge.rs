@@ -221,6 +221,11 @@ fn a_mistake_in_a_series_is_named_with_its_place_and_exit_code_2() {
         },
         Mistake {
             structure: NONE,
+            series: ("2025-01-01T06:00", "2026-01-01T06:00"),
+            said: &["bridge.csv:3: time 2026-01-01T06:00:00Z is far ahead of both neighbours"],
+        },
+        Mistake {
+            structure: NONE,
             series: ("5.0", "278.2"),
             said: &["bridge.csv:4:", "deck_celsius", "278.2", "check the unit"],
         },

@@ -18,6 +18,10 @@ use crate::{
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
 };
 
+/// Distance from which a row is far ahead of its neighbours, as a multiple of their distance. Rows
+/// in a wrong order are closer.
+const FAR_AHEAD: i64 = 10;
+
 /// A reader of CSV records, row by row.
 ///
 /// The header is the first line that names the required column, or the first line of the file. It
@@ -40,10 +44,19 @@ pub struct CsvReader<'a> {
     fields_per_row: usize,
     time: RowTime,
     time_form: Option<TimeForm>,
-    previous_time_ns: Option<i64>,
+    previous: Option<PreviousRow>,
     channels: Vec<String>,
     columns: Vec<MappedColumn>,
     values: Vec<f64>,
+}
+
+/// The last row that was read.
+#[derive(Debug, Clone, Copy)]
+struct PreviousRow {
+    line: u64,
+    time_ns: i64,
+    /// Time of the row before it.
+    earlier_ns: Option<i64>,
 }
 
 /// The source of the time of a row.
@@ -143,7 +156,7 @@ impl<'a> CsvReader<'a> {
             fields_per_row: header.len(),
             time,
             time_form: None,
-            previous_time_ns: None,
+            previous: None,
             channels: mapping
                 .channels()
                 .iter()
@@ -218,20 +231,43 @@ impl<'a> CsvReader<'a> {
         let time_ns = text
             .and_then(|text| form.parse_ns(text, unit))
             .ok_or_else(|| bad_time(form.name()))?;
-        if let Some(previous_ns) = self
-            .previous_time_ns
-            .filter(|previous_ns| time_ns <= *previous_ns)
-        {
-            return Err(RecordError::TimeNotIncreasing {
-                path: self.path.clone(),
-                line,
-                found: form.text(time_ns),
-                previous: form.text(previous_ns),
+        if let Some(previous) = self.previous.filter(|previous| time_ns <= previous.time_ns) {
+            let path = self.path.clone();
+            return Err(match previous.earlier_if_far_ahead(time_ns) {
+                Some(earlier_ns) => RecordError::TimeAhead {
+                    path,
+                    line: previous.line,
+                    found: form.text(previous.time_ns),
+                    previous: form.text(earlier_ns),
+                    next: form.text(time_ns),
+                },
+                None => RecordError::TimeNotIncreasing {
+                    path,
+                    line,
+                    found: form.text(time_ns),
+                    previous: form.text(previous.time_ns),
+                },
             });
         }
         self.time_form = Some(form);
-        self.previous_time_ns = Some(time_ns);
+        self.previous = Some(PreviousRow {
+            line,
+            time_ns,
+            earlier_ns: self.previous.map(|previous| previous.time_ns),
+        });
         Ok(time_ns)
+    }
+}
+
+impl PreviousRow {
+    /// Returns the time of the row before this one, if only this one is wrong: it is far ahead of
+    /// that row and of the row after it, which are in order.
+    fn earlier_if_far_ahead(&self, next_ns: i64) -> Option<i64> {
+        let earlier_ns = self.earlier_ns?;
+        let step_ns = next_ns.saturating_sub(earlier_ns);
+        let ahead_ns = self.time_ns.saturating_sub(earlier_ns);
+        let is_far = step_ns > 0 && ahead_ns >= step_ns.saturating_mul(FAR_AHEAD);
+        is_far.then_some(earlier_ns)
     }
 }
 

@@ -352,6 +352,24 @@ pub enum RecordError {
         /// The previous time in the same form.
         previous: String,
     },
+    /// A time is so far ahead of the rows before and after it that it is a mistake.
+    #[error(
+        "{}:{line}: time {found} is far ahead of both neighbours, must be between {previous} and \
+         {next}",
+        path.display()
+    )]
+    TimeAhead {
+        /// The file.
+        path: PathBuf,
+        /// Line of the row.
+        line: u64,
+        /// Its time in the form of the file, with its unit.
+        found: String,
+        /// The time of the row before it, in the same form.
+        previous: String,
+        /// The time of the row after it, in the same form.
+        next: String,
+    },
     /// The file has fewer than two rows and therefore no sampling rate.
     #[error("{}: has {rows} rows, must have at least 2 to determine a sampling \
              rate", path.display())]

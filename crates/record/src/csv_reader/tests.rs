@@ -193,6 +193,22 @@ fn errors_name_file_line_found_and_allowed() {
     );
 }
 
+/// Regression test: the error named the row after a wrong one, which is right.
+#[test]
+fn a_row_far_ahead_of_both_neighbours_is_named_itself() {
+    let wrong_year = "2025-01-01T00:00:00Z,1,2\n2026-01-02T00:00:00Z,1,2\n2025-01-03T00:00:00Z,1,2";
+    assert_eq!(
+        message(&format!("time,a,b\n{wrong_year}\n")),
+        "hall.csv:3: time 2026-01-02T00:00:00Z is far ahead of both neighbours, must be between \
+         2025-01-01T00:00:00Z and 2025-01-03T00:00:00Z"
+    );
+    // Two rows in a wrong order, and a clock that was set back.
+    for text in ["0,1,2\n3,1,2\n1,1,2", "5,1,2\n900,1,2\n2,1,2"] {
+        let told = message(&format!("time,a,b\n{text}\n"));
+        assert!(told.starts_with("hall.csv:4: time "), "{told}");
+    }
+}
+
 #[test]
 fn line_numbers_count_windows_lines_and_blank_lines() {
     assert!(message("time,a,b\r\n0,1,2\r\n1,1,2\r\n2,?,2\r\n").starts_with("hall.csv:4: "));
