@@ -8,6 +8,11 @@
 //!
 //! Values in an earthquake do not count, until the structure has settled.
 //!
+//! A time of the future would exclude all values until then. Values ahead of the clock of the
+//! machine therefore do not count. That clock can be wrong as well. If it is set back, epochs that
+//! are now ahead of it are dropped. Measured values that jump ahead by more than a day close no
+//! epoch until a value of the second next epoch confirms the jump.
+//!
 //! An estimate or mode that does not count opens its epoch nevertheless. An epoch without any value
 //! lets the judge state that the day has none.
 //!
@@ -15,6 +20,7 @@
 //! counts also while the monitoring is blind, because it depends on no model. A mode that is
 //! paired, or at whose frequency a machine runs, does not count.
 
+use crate::ahead::{Ahead, AheadReports};
 use spandrel_bus::{
     ConditionDisplay, ModeDisplay, ModeState, MonitoringDisplay, MonitoringState, Name,
     ParameterDisplay, REFERENCE_IS_LEARNT,
@@ -37,6 +43,11 @@ const CONDITIONS_KEPT: usize = 64;
 const SETTLED_AFTER_NS: i64 = 900_000_000_000;
 /// Maximum number of earthquakes that concern epochs which are not closed yet.
 const MOST_EARTHQUAKES: usize = 64;
+/// Distance from the newest value above which a value is a jump ahead (ns). An unconfirmed jump by
+/// less delays the judgement by at most a day.
+const JUMP_NS: i64 = 86_400_000_000_000;
+/// The same distance in epochs, if they are long. A single missing epoch is no jump.
+const LEAST_JUMP: i64 = 2;
 /// Difference between the scales K and °C.
 const KELVIN_OF_0_CELSIUS: f64 = 273.15;
 const NS_PER_S: f64 = 1e9;
@@ -123,6 +134,11 @@ pub(crate) struct Epochs {
     earthquakes: VecDeque<i64>,
     /// Number of the last closed epoch.
     closed: Option<i64>,
+    /// Number of the newest epoch that follows no unconfirmed jump ahead.
+    present: Option<i64>,
+    /// Number of the first epoch after an unconfirmed jump ahead.
+    jump: Option<i64>,
+    ahead: AheadReports,
     monitoring: Option<(MonitoringDisplay, Duration)>,
     is_measured: Option<bool>,
     now: Duration,
@@ -174,11 +190,15 @@ impl Epochs {
     /// Begins after the epoch with this middle (ns), which an earlier run has closed.
     pub(crate) fn new(sources: Sources, closed_ns: Option<i64>) -> Self {
         let conditions = sources.conditions.iter();
+        let closed = closed_ns.map(|middle_ns| middle_ns.div_euclid(sources.length_ns));
         Self {
             open: BTreeMap::new(),
             conditions: conditions.map(|_| ConditionValues::default()).collect(),
             earthquakes: VecDeque::new(),
-            closed: closed_ns.map(|middle_ns| middle_ns.div_euclid(sources.length_ns)),
+            closed,
+            present: closed,
+            jump: None,
+            ahead: AheadReports::default(),
             monitoring: None,
             is_measured: None,
             now: Duration::ZERO,
@@ -206,11 +226,16 @@ impl Epochs {
         &self.refused
     }
 
+    /// Returns what is ahead of the clock of the machine and not reported yet.
+    pub(crate) fn take_ahead(&mut self) -> Vec<Ahead> {
+        self.ahead.drain()
+    }
+
     /// Takes an input, and appends the epochs that it closes to `closed`.
     pub(crate) fn handle(&mut self, input: EpochInput, closed: &mut Vec<ClosedEpoch>) {
         match input {
             EpochInput::Now(now) => self.now = now,
-            EpochInput::Clock(clock_ns) => self.clock_ns = clock_ns,
+            EpochInput::Clock(clock_ns) => self.set_clock(clock_ns),
             EpochInput::Monitoring(display) => self.monitoring = Some((display, self.now)),
             EpochInput::Measured(is_measured) => self.is_measured = is_measured,
             EpochInput::Condition(display) => {
@@ -246,7 +271,7 @@ impl Epochs {
         let Some(index) = self.quantity(&source) else {
             return Ok(()); // not judged
         };
-        if self.is_ahead(display.time_ns) {
+        if self.is_ahead(&display.parameter, display.time_ns) {
             return Err("ahead-of-clock-estimates");
         }
         let last = self
@@ -255,13 +280,9 @@ impl Epochs {
         if self.sources.is_updated && last == Some(display.time_ns) {
             return Ok(()); // repeated for late subscribers
         }
-        let number = display.time_ns.div_euclid(self.sources.length_ns);
-        if self.closed.is_some_and(|closed| number <= closed) {
-            return Err("late-estimates");
-        }
-        self.newest_ns = self.newest_ns.max(Some(display.time_ns));
-        self.close_before(number.saturating_sub(1), closed);
-        self.open(number);
+        let number = self
+            .reach(display.time_ns, closed)
+            .ok_or("late-estimates")?;
         let is_measured = self.is_measured.ok_or("estimates-of-unknown-origin")?;
         if !self.sources.is_updated && !self.is_sighted(&display.parameter) {
             return Err("blind-estimates");
@@ -282,20 +303,14 @@ impl Epochs {
         let Some(index) = self.quantity(&source) else {
             return Ok(()); // not judged
         };
-        if self.is_ahead(display.time_ns) {
+        if self.is_ahead(&display.mode, display.time_ns) {
             return Err("ahead-of-clock-modes");
         }
         let last = self.modes.insert(display.mode.clone(), display.time_ns);
         if last == Some(display.time_ns) {
             return Ok(()); // repeated for late subscribers
         }
-        let number = display.time_ns.div_euclid(self.sources.length_ns);
-        if self.closed.is_some_and(|closed| number <= closed) {
-            return Err("late-modes");
-        }
-        self.newest_ns = self.newest_ns.max(Some(display.time_ns));
-        self.close_before(number.saturating_sub(1), closed);
-        self.open(number);
+        let number = self.reach(display.time_ns, closed).ok_or("late-modes")?;
         let Some(estimate) = &display.estimate else {
             return Ok(()); // missing or lost
         };
@@ -309,6 +324,76 @@ impl Epochs {
         let value = [estimate.frequency_hz, estimate.frequency_std_hz];
         self.add(number, index, is_measured, value);
         Ok(())
+    }
+
+    /// Opens the epoch of a value, and closes those that are over. Returns the number of the epoch,
+    /// or `None` if it is closed already.
+    fn reach(&mut self, time_ns: i64, closed: &mut Vec<ClosedEpoch>) -> Option<i64> {
+        let length_ns = self.sources.length_ns;
+        let number = time_ns.div_euclid(length_ns);
+        if let Some(last) = self.closed.filter(|last| number <= *last) {
+            if last.saturating_mul(length_ns) > self.latest_ns() {
+                let end_ns = last.saturating_add(1).saturating_mul(length_ns);
+                self.ahead.take(Ahead::Epoch { end_ns }, self.now);
+            }
+            return None;
+        }
+        if self.is_confirmed(number) {
+            self.newest_ns = self.newest_ns.max(Some(time_ns));
+            self.close_before(number.saturating_sub(1), closed);
+        }
+        self.open(number);
+        Some(number)
+    }
+
+    /// Returns `true` if the epoch with this number follows no jump ahead, or confirms a jump. If
+    /// it is before an unconfirmed jump, drops the epochs after the jump.
+    ///
+    /// Replayed and simulated samples may jump.
+    fn is_confirmed(&mut self, number: i64) -> bool {
+        let most = LEAST_JUMP.max(JUMP_NS / self.sources.length_ns);
+        let is_jump = |present: i64| number > present.saturating_add(most);
+        if self.is_measured != Some(false) && self.present.is_some_and(is_jump) {
+            let first = self.jump.map_or(number, |first| first.min(number));
+            self.jump = Some(first);
+            if number < first.saturating_add(2) {
+                return false;
+            }
+        } else if let Some(first) = self.jump {
+            self.drop_from(first, "unconfirmed-epochs");
+        }
+        self.jump = None;
+        self.present = self.present.max(Some(number));
+        true
+    }
+
+    /// Drops the open epochs from a number on, and counts them.
+    fn drop_from(&mut self, first: i64, reason: &'static str) {
+        let before = self.open.len();
+        self.open.retain(|number, _| *number < first);
+        let dropped = before - self.open.len();
+        if dropped > 0 {
+            *self.refused.entry(reason).or_default() += dropped as u64;
+        }
+    }
+
+    /// Takes the time of the machine. If its clock was set back, forgets what is now ahead of it.
+    fn set_clock(&mut self, clock_ns: i64) {
+        self.clock_ns = clock_ns;
+        let latest_ns = self.latest_ns();
+        let first = latest_ns
+            .div_euclid(self.sources.length_ns)
+            .saturating_add(1);
+        self.drop_from(first, "ahead-of-clock-epochs");
+        self.jump = self.jump.filter(|jump| *jump < first);
+        if self.present >= Some(first) {
+            let last = self.open.last_key_value();
+            self.present = self.closed.max(last.map(|(number, _)| *number));
+        }
+        self.newest_ns = self.newest_ns.filter(|newest_ns| *newest_ns <= latest_ns);
+        for values in &mut self.conditions {
+            values.forget_after(latest_ns, first);
+        }
     }
 
     fn quantity(&self, source: &QuantitySource) -> Option<usize> {
@@ -352,12 +437,23 @@ impl Epochs {
         !is_blind && !is_blind_here
     }
 
-    fn is_ahead(&self, time_ns: i64) -> bool {
-        time_ns > self.clock_ns.saturating_add(ConditionDisplay::MAX_AHEAD_NS)
+    /// Returns the latest time of a value that is not ahead of the clock (ns).
+    fn latest_ns(&self) -> i64 {
+        self.clock_ns.saturating_add(ConditionDisplay::MAX_AHEAD_NS)
+    }
+
+    /// Returns `true` if a value is ahead of the clock, and reports this.
+    fn is_ahead(&mut self, of: &Name, time_ns: i64) -> bool {
+        let is_ahead = time_ns > self.latest_ns();
+        if is_ahead {
+            let of = of.clone();
+            self.ahead.take(Ahead::Values { of, time_ns }, self.now);
+        }
+        is_ahead
     }
 
     fn take_condition(&mut self, display: &ConditionDisplay) -> Result<(), &'static str> {
-        let is_ahead = self.is_ahead(display.time_ns);
+        let latest_ns = self.latest_ns();
         let mut sources = self.sources.conditions.iter().zip(&mut self.conditions);
         let Some((source, values)) = sources.find(|(source, _)| source.name == display.name) else {
             return Ok(()); // explains nothing
@@ -370,7 +466,9 @@ impl Epochs {
         if !is_plausible || source.kind.convert(value).is_err() {
             return Err("out-of-range-conditions");
         }
-        if is_ahead {
+        if display.time_ns > latest_ns {
+            let (of, time_ns) = (display.name.clone(), display.time_ns);
+            self.ahead.take(Ahead::Values { of, time_ns }, self.now);
             return Err("ahead-of-clock-conditions");
         }
         if values.newest_ns >= Some(display.time_ns) {
@@ -485,6 +583,15 @@ impl ConditionSource {
 }
 
 impl ConditionValues {
+    /// Forgets the values of the epochs from `first` on, if the newest value is later than a time
+    /// (ns). It would exclude the values before it.
+    fn forget_after(&mut self, latest_ns: i64, first: i64) {
+        if self.newest_ns > Some(latest_ns) {
+            self.newest_ns = None;
+            self.by_epoch.retain(|number, _| *number < first);
+        }
+    }
+
     /// Returns the mean value in an epoch, or the last one before it if that still holds at its
     /// start. Drops values that later epochs do not need.
     fn at(&mut self, epoch: i64, start_ns: i64) -> Option<f64> {

@@ -163,7 +163,7 @@ pub enum NoPast {
 }
 
 /// Returns a time (ns since 1970-01-01 UTC) in ISO 8601.
-fn utc(time_ns: i64) -> Timestamp {
+pub(crate) fn utc(time_ns: i64) -> Timestamp {
     // The calendar of `jiff` includes every time of 64 bits in nanoseconds.
     Timestamp::from_nanosecond(time_ns.into()).unwrap_or_default()
 }

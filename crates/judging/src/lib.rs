@@ -12,6 +12,7 @@
 //! the structure was judged. From these files, [`judge_past`] repeats a past judgement.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
+//! - `ahead`: limits the reports about values ahead of the clock
 //! - [`course_row`]: a judgement as a row of the history of the quantity
 //! - `judging`: closed epochs in, judgements and events out
 //! - `epoch_log`, `annotations`, `configurations`: the files
@@ -21,6 +22,7 @@
 //!
 //! The maths is in `spandrel-judge`. For rules on single estimates, use `spandrel-alert`.
 
+mod ahead;
 mod course;
 mod epochs;
 mod judging;

@@ -272,6 +272,10 @@ impl JudgeService {
             self.closed_at = self.started.elapsed();
             self.judge(closed).await?;
         }
+        for ahead in self.epochs.take_ahead() {
+            let event = ahead.event(self.keys.structure(), self.clock.now_ns());
+            self.events.put(&event).await?;
+        }
         self.take_annotations().await
     }
 

@@ -68,6 +68,101 @@ fn values_of_the_future_exclude_no_values_of_the_present() {
     assert_eq!(closed.epoch.conditions[0], Some(15.0));
 }
 
+/// The epochs of the future would otherwise exclude those of the present.
+#[test]
+fn a_clock_that_is_set_back_leaves_no_epoch_and_no_condition_of_the_future() {
+    let mut epochs = sighted();
+    handle(&mut epochs, EpochInput::Clock(1000 * EPOCH * S));
+    take(&mut epochs, 10, 1.0);
+    handle(&mut epochs, EpochInput::Condition(deck(11, 10.0)));
+    assert_eq!(take(&mut epochs, 999 * EPOCH, 9.0), []);
+    assert_eq!(take(&mut epochs, 1000 * EPOCH, 9.0), []);
+    handle(&mut epochs, EpochInput::Condition(deck(999 * EPOCH, 40.0)));
+    handle(&mut epochs, EpochInput::Clock(20 * S));
+    assert_eq!(refused(&epochs, "ahead-of-clock-epochs"), 2);
+    take(&mut epochs, 20, 4.0);
+    handle(&mut epochs, EpochInput::Condition(deck(21, 20.0)));
+    handle(&mut epochs, EpochInput::Clock(2 * EPOCH * S));
+    let closed = first(&mut epochs);
+    let value = closed.epoch.quantities[0].unwrap();
+    assert!((value - 2.0).abs() < 1e-15, "{value}"); // √(1 · 4)
+    assert_eq!(closed.epoch.conditions[0], Some(15.0));
+    assert_eq!(refused(&epochs, "late-estimates"), 0);
+    assert_eq!(refused(&epochs, "repeated-conditions"), 0);
+}
+
+#[test]
+fn a_jump_ahead_without_confirmation_closes_nothing_and_is_dropped() {
+    let mut epochs = sighted();
+    take(&mut epochs, 10, 1.0);
+    assert_eq!(take(&mut epochs, 500 * EPOCH, 9.0), []);
+    assert_eq!(take(&mut epochs, 501 * EPOCH, 9.0), []);
+    take(&mut epochs, 20, 4.0);
+    assert_eq!(refused(&epochs, "unconfirmed-epochs"), 2);
+    let value = first(&mut epochs).epoch.quantities[0].unwrap();
+    assert!((value - 2.0).abs() < 1e-15, "{value}"); // √(1 · 4)
+}
+
+#[test]
+fn a_jump_ahead_is_confirmed_by_the_second_next_epoch() {
+    let mut epochs = sighted();
+    take(&mut epochs, 10, 1.0);
+    assert_eq!(take(&mut epochs, 500 * EPOCH, 2.0), []);
+    assert_eq!(take(&mut epochs, 501 * EPOCH, 4.0), []);
+    let closed = take(&mut epochs, 502 * EPOCH, 1.0);
+    let found: Vec<_> = closed
+        .iter()
+        .map(|closed| (closed.middle_ns / S / EPOCH, closed.epoch.quantities[0]))
+        .collect();
+    assert_eq!(found, [(0, Some(1.0)), (500, Some(2.0))]);
+    // The present is after the jump now.
+    let closed = take(&mut epochs, 503 * EPOCH, 1.0);
+    assert_eq!(closed[0].epoch.quantities[0], Some(4.0));
+    assert_eq!(refused(&epochs, "unconfirmed-epochs"), 0);
+}
+
+#[test]
+fn replayed_samples_and_the_next_day_are_no_jump() {
+    let day = 86_400;
+    for (is_measured, second) in [(Some(false), 500 * EPOCH), (Some(true), day)] {
+        let mut epochs = sighted();
+        handle(&mut epochs, EpochInput::Measured(is_measured));
+        take(&mut epochs, 10, 1.0);
+        assert_eq!(take(&mut epochs, second, 9.0).len(), 1, "{second}");
+    }
+}
+
+#[test]
+fn values_and_epochs_ahead_of_the_clock_are_reported() {
+    let mut epochs = Epochs::new(sources(), Some(1000 * EPOCH * S + 1));
+    handle(&mut epochs, EpochInput::Measured(Some(true)));
+    handle(&mut epochs, EpochInput::Clock(10 * S));
+    assert_eq!(epochs.take_ahead(), []);
+    take(&mut epochs, 71, 1.0);
+    handle(&mut epochs, EpochInput::Condition(deck(72, 20.0)));
+    take(&mut epochs, 10, 1.0);
+    assert_eq!(refused(&epochs, "late-estimates"), 1);
+    let values = |source, second| Ahead::Values {
+        of: name(source),
+        time_ns: second * S,
+    };
+    let end_ns = 1001 * EPOCH * S;
+    assert_eq!(
+        epochs.take_ahead(),
+        [
+            values("pier", 71),
+            values("deck", 72),
+            Ahead::Epoch { end_ns }
+        ]
+    );
+    // Late values after an epoch of the past are no mistake of a clock.
+    handle(&mut epochs, EpochInput::Now(Duration::from_secs(7200)));
+    handle(&mut epochs, EpochInput::Clock(1002 * EPOCH * S));
+    take(&mut epochs, 10, 1.0);
+    assert_eq!(refused(&epochs, "late-estimates"), 2);
+    assert_eq!(epochs.take_ahead(), []);
+}
+
 #[test]
 fn monitoring_that_is_blind_or_unknown_gives_an_epoch_without_a_value() {
     let mut unknown = Epochs::new(sources(), None);
