@@ -4,9 +4,9 @@
 
 use serde_json::Value;
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, Annotation, EstimateBlock, Event, FeedbackMessage, Format,
-    FrameBlock, LocalMessage, LossDisplay, Maintenance, Message, NoiseDisplay, ParameterDisplay,
-    Progress, SampleBlock, StateMessage, Status,
+    Acknowledgement, AlertMessage, Annotation, EpochDisplay, EstimateBlock, Event, FeedbackMessage,
+    Format, FrameBlock, LocalMessage, LossDisplay, Maintenance, Message, NoiseDisplay,
+    ParameterDisplay, Progress, SampleBlock, StateMessage, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -344,6 +344,7 @@ fn the_page_of_topics_states_which_messages_are_accepted_as_json() {
     assert_format_is_stated::<Progress>(&topics);
     assert_format_is_stated::<ParameterDisplay>(&topics);
     assert_format_is_stated::<LossDisplay>(&topics);
+    assert_format_is_stated::<EpochDisplay>(&topics);
     assert_format_is_stated::<NoiseDisplay>(&topics);
     assert_format_is_stated::<AlertMessage>(&topics);
     assert_format_is_stated::<Acknowledgement>(&topics);

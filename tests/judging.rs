@@ -3,9 +3,9 @@
 use crate::support::{DEADLINE, Finished, HOUSE, Process, Site, within};
 use serde_json::Value;
 use spandrel_bus::{
-    Bus, ConditionDisplay, DisplayPublisher, Event, EventKind, JudgementCourse, JudgementDisplay,
-    JudgementState, LiveToken, MonitoringDisplay, MonitoringState, Name, Pace, ParameterDisplay,
-    Service, Status, Subscription,
+    Bus, ConditionDisplay, DisplayPublisher, EpochDisplay, Event, EventKind, JudgementCourse,
+    JudgementDisplay, JudgementState, LiveToken, MonitoringDisplay, MonitoringState, Name, Pace,
+    ParameterDisplay, Service, Status, Subscription,
 };
 use spandrel_validate::{SeasonRow, StiffnessLoss, seasons};
 use std::collections::BTreeMap;
@@ -707,6 +707,43 @@ async fn a_frozen_thermometer_gives_no_statement() {
         "storey-1 is not judged, because deck has not changed for a day or longer."
     );
     judge.stop().expect_code(0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_epoch_is_published_once_as_it_is_saved() {
+    let rows = seasons(1, 6, None);
+    let mut others = Others::start(house(SHORT)).await;
+    let epochs: Subscription<EpochDisplay> = {
+        let key = others.site.keys().epoch(&name("storey-1"));
+        others.bus.subscribe(key, 1024).await.unwrap()
+    };
+    let judge = others.judge().await;
+    others.publish(&rows, 0..6, |deck| deck).await;
+    judge.stop().expect_code(0);
+    let file = std::fs::read_to_string(find(&others.state_folder(), "judge-epochs.csv")).unwrap();
+    let number = |field: &str| field.parse::<f64>().ok();
+    let saved = file.lines().skip(1).map(|line| {
+        let fields: Vec<&str> = line.split(',').collect(); // time, storey-1, girder, deck, …
+        let ln_mean = number(fields[1]).map(f64::ln);
+        (
+            number(fields[0]).unwrap() as i64,
+            ln_mean,
+            number(fields[3]),
+        )
+    });
+    let saved: Vec<_> = saved.collect();
+    assert!(saved.len() > 4 * 3, "{saved:?}");
+    for expected in saved {
+        let next = within("an epoch", epochs.messages().recv_async()).await;
+        let (_, display) = next.unwrap();
+        let deck = &display.conditions[0];
+        let found = (display.time_ns / SECOND_NS, display.ln_mean, deck.value);
+        assert_eq!(found, expected);
+        assert_eq!(display.epoch_s, EPOCH_S as f64);
+        assert_eq!(display.ln_std.is_some(), display.ln_mean.is_some());
+        assert_eq!(deck.name, name("deck"));
+    }
+    assert!(epochs.messages().try_recv().is_err());
 }
 
 #[test]

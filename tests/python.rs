@@ -6,10 +6,10 @@
 
 use crate::support::{Lab, Process, Secured, Site, skip, two_storeys, within};
 use spandrel_bus::{
-    Acknowledgement, AlertMessage, CaughtUp, ConditionDisplay, Event, FitDisplay, HistorySpan,
-    JudgementDisplay, LossDisplay, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay,
-    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, SampleBlock,
-    SensorHealthDisplay, SpectrumDisplay, Status, WaveformDisplay,
+    Acknowledgement, AlertMessage, CaughtUp, ConditionDisplay, EpochDisplay, Event, FitDisplay,
+    HistorySpan, JudgementDisplay, LossDisplay, Message, ModeDisplay, ModelClassDisplay,
+    MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress,
+    SampleBlock, SensorHealthDisplay, SpectrumDisplay, Status, WaveformDisplay,
 };
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -90,6 +90,7 @@ fn the_package_supports_the_versions_of_the_services() {
         WaveformDisplay::encoding(),
         SpectrumDisplay::encoding(),
         ConditionDisplay::encoding(),
+        EpochDisplay::encoding(),
         JudgementDisplay::encoding(),
         ModeDisplay::encoding(),
         ModelClassDisplay::encoding(),

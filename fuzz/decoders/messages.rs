@@ -2,11 +2,11 @@
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Annotation, Block, CaughtUp, ConditionDisplay, Description,
-    EstimateBlock, Event, FeedbackMessage, FitDisplay, Format, FrameBlock, HistoryLog, HistorySpan,
-    JudgementCourse, JudgementDisplay, LocalMessage, LossDisplay, Maintenance, Message,
-    ModeDisplay, ModelClassDisplay, MonitoringDisplay, NodeDisplay, NoiseDisplay, OutlierDisplay,
-    ParameterDisplay, Progress, ReportPage, SampleBlock, SensorHealthDisplay, SpectrumDisplay,
-    StateMessage, Status, WaveformDisplay,
+    EpochDisplay, EstimateBlock, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
+    HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalMessage, LossDisplay,
+    Maintenance, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay, NodeDisplay,
+    NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ReportPage, SampleBlock,
+    SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, WaveformDisplay,
 };
 
 /// Decodes a payload as one type. A decoded message must be valid, and it must be possible to
@@ -87,6 +87,7 @@ pub const TYPES: &[Decode] = &[
     binary::<WaveformDisplay>,
     binary::<SpectrumDisplay>,
     binary::<ReportPage>,
+    binary::<EpochDisplay>,
 ];
 
 /// Decodes one input. Returns the reason if the message is rejected.

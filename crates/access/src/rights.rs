@@ -241,7 +241,7 @@ fn of_alert() -> Vec<(Right, KeyFamily)> {
         each(Right::Subscribe, &[K::Annotation]),
         // An event states that an earthquake begins.
         each(Right::Subscribe, &[K::Event]),
-        each(Right::Put, &[K::Judgement]),
+        each(Right::Put, &[K::Epoch, K::Judgement]),
         each(Right::Answer, &[K::JudgementCourse]),
         of_service(Service::Judge),
     ]
@@ -305,6 +305,7 @@ fn of_viewer() -> Vec<(Right, KeyFamily)> {
                 K::Progress(Service::Ingest),
                 K::Waveform,
                 K::Spectrum,
+                K::Epoch,
             ],
         ),
         each(Right::Subscribe, &Service::ALL.map(K::Status)),
@@ -371,6 +372,7 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Waveform
         | K::Spectrum
         | K::Condition
+        | K::Epoch
         | K::Judgement
         | K::JudgementCourse
         | K::Report

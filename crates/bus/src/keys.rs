@@ -100,6 +100,8 @@ key_families! {
     Spectrum = "sensor/{of}/spectrum",
     /// [`Keys::condition`], one per condition
     Condition = "condition/{of}",
+    /// [`Keys::epoch`], one per quantity
+    Epoch = "epoch/{of}",
     /// [`Keys::judgement`], one per quantity
     Judgement = "judgement/{of}",
     /// [`Keys::judgement_course`], one per quantity

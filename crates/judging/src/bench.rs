@@ -44,6 +44,8 @@ pub(crate) struct Outcome {
     pub(crate) events: Vec<Event>,
     pub(crate) is_day_over: bool,
     pub(crate) refused: u64,
+    /// The epochs that were not refused.
+    pub(crate) taken: Vec<ClosedEpoch>,
 }
 
 impl Bench {
@@ -178,7 +180,10 @@ impl Bench {
                 log.append(closed);
             }
             match self.judging.handle(closed, &mut outcome.events) {
-                Ok(is_day_over) => outcome.is_day_over |= is_day_over,
+                Ok(is_day_over) => {
+                    outcome.is_day_over |= is_day_over;
+                    outcome.taken.push(closed.clone());
+                }
                 Err(error) => {
                     outcome.refused += 1;
                     warn!(%error, "epoch rejected");

@@ -95,8 +95,8 @@ impl Course {
     }
 }
 
-/// Returns the unit of the mean of a condition.
-fn unit(condition: &Condition) -> &'static str {
+/// Returns the unit of a condition in the scale of the judgement.
+pub(crate) fn unit(condition: &Condition) -> &'static str {
     match condition.kind {
         ConditionKind::Celsius | ConditionKind::Kelvin | ConditionKind::Fahrenheit => "degC",
         ConditionKind::Amplitude => "log10",

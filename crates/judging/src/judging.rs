@@ -1,15 +1,15 @@
 //! Judges closed epochs, and states the result in messages.
 
-use crate::course::{Course, Subject, change, expectation, start_ns, state};
+use crate::course::{Course, Subject, change, expectation, start_ns, state, unit};
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
 use spandrel_bus::{
-    Annotation, AnnotationEffect, BudgetSpent, ChangeSeen, Event, EventKind, JudgementCourse,
-    JudgementDisplay, JudgementState, LastingChange, Name, SpanQuery,
+    Annotation, AnnotationEffect, BudgetSpent, ChangeSeen, EpochCondition, EpochDisplay, Event,
+    EventKind, JudgementCourse, JudgementDisplay, JudgementState, LastingChange, Name, SpanQuery,
 };
 use spandrel_judge::{
-    Budget, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State, date,
-    season_warning,
+    Budget, ConditionKind, Judge, JudgeError, Judgement, NewReference, Settings, Spent, State,
+    date, season_warning,
 };
 use spandrel_structure::JudgePlan;
 
@@ -188,6 +188,41 @@ impl Judging {
             quantity.course.push(judgement);
         }
         Ok(is_day_over)
+    }
+
+    /// Returns an epoch of every quantity as it is judged. `epoch_s` is its length (s).
+    pub(crate) fn epoch_displays(&self, closed: &ClosedEpoch, epoch_s: f64) -> Vec<EpochDisplay> {
+        let declared = &self.judge.settings().conditions;
+        let values = declared.iter().zip(&closed.epoch.conditions);
+        let values: Vec<Option<f64>> = values
+            .map(|(condition, value)| condition.kind.convert((*value)?).ok())
+            .collect();
+        let conditions = declared.iter().zip(&self.conditions).zip(&values);
+        let conditions: Vec<EpochCondition> = conditions
+            .map(|((condition, name), value)| EpochCondition {
+                name: name.clone(),
+                unit: unit(condition).to_owned(),
+                value: *value,
+            })
+            .collect();
+        let mut kinds = declared.iter().map(|condition| condition.kind);
+        let amplitude = kinds.position(|kind| matches!(kind, ConditionKind::Amplitude));
+        let amplitude = amplitude.and_then(|index| values.get(index).copied().flatten());
+        let quantities = self.quantities.iter().zip(&closed.epoch.quantities);
+        quantities
+            .zip(&closed.deviations)
+            .map(|((quantity, value), ln_std)| EpochDisplay {
+                structure: self.structure.clone(),
+                quantity: quantity.name.clone(),
+                time_ns: closed.middle_ns,
+                epoch_s,
+                ln_mean: value.map(f64::ln),
+                ln_std: *ln_std,
+                amplitude,
+                conditions: conditions.clone(),
+                measured: closed.is_measured,
+            })
+            .collect()
     }
 
     /// Returns the state of every quantity. `time_ns` is the wall-clock time (ns since 1970-01-01

@@ -5,9 +5,9 @@ use crate::epochs::{ClosedEpoch, ConditionSource, EpochInput, Epochs, QuantitySo
 use crate::error::JudgingError;
 use crate::judging::{Judging, name, quantity_names, withdraw_old};
 use spandrel_bus::{
-    Annotation, BoxedFuture, DisplayPublisher, Event, EventKind, JudgementDisplay, KeyFamily, Keys,
-    LiveToken, LiveWatch, Name, Pace, Question, Questions, Service, SpanQuery, Subscription,
-    parse_key, reported_pace,
+    Annotation, BoxedFuture, DisplayPublisher, EpochDisplay, Event, EventKind, JudgementDisplay,
+    KeyFamily, Keys, LiveToken, LiveWatch, Name, Pace, Question, Questions, Service, SpanQuery,
+    Subscription, parse_key, reported_pace,
 };
 use spandrel_judge::QuantityKind;
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
@@ -77,6 +77,7 @@ pub struct JudgeService {
     /// `None` only while another thread judges.
     bench: Option<Bench>,
     topics: BTreeMap<Name, DisplayPublisher<JudgementDisplay>>,
+    epoch_topics: BTreeMap<Name, DisplayPublisher<EpochDisplay>>,
     /// Queries for the histories of the quantities.
     questions: Questions,
     annotations: Subscription<Annotation>,
@@ -138,8 +139,10 @@ impl JudgeService {
                 let judging = Judging::of_plan(keys.structure().clone(), plan)?;
                 Bench::open(judging, saved, *clock)
             })?;
-            let mut topics = BTreeMap::new();
+            let (mut topics, mut epoch_topics) = (BTreeMap::new(), BTreeMap::new());
             for name in names {
+                let topic = bus.publish_display(keys.epoch(&name)).await?;
+                epoch_topics.insert(name.clone(), topic);
                 let topic = bus.publish_display(keys.judgement(&name)).await?;
                 topics.insert(name, topic);
             }
@@ -161,6 +164,7 @@ impl JudgeService {
                 closed_at: Duration::ZERO,
                 bench: Some(bench),
                 topics,
+                epoch_topics,
                 questions: bus
                     .questions(keys.all_judgement_courses(), QUESTIONS_WAITING)
                     .await?,
@@ -342,6 +346,7 @@ impl JudgeService {
             return Ok(());
         };
         self.refused += outcome.refused;
+        self.put_epochs(&outcome.taken).await?;
         for event in &outcome.events {
             self.events.put(event).await?;
         }
@@ -372,6 +377,22 @@ impl JudgeService {
                 Err(_) => None, // the runtime is shutting down
             },
         }
+    }
+
+    /// Publishes epochs that have been judged.
+    async fn put_epochs(&self, taken: &[ClosedEpoch]) -> Result<(), JudgingError> {
+        let Some(bench) = &self.bench else {
+            return Ok(());
+        };
+        let length = Duration::from_nanos(self.epochs.length_ns().unsigned_abs());
+        for closed in taken {
+            for display in bench.judging.epoch_displays(closed, length.as_secs_f64()) {
+                if let Some(topic) = self.epoch_topics.get(&display.quantity) {
+                    topic.put(&display).await?;
+                }
+            }
+        }
+        Ok(())
     }
 
     async fn put_states(&self) -> Result<(), JudgingError> {

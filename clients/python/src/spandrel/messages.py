@@ -304,6 +304,39 @@ class DayExpectation:
 
 
 @dataclass(frozen=True)
+class EpochCondition:
+    """A condition in an epoch."""
+
+    name: str
+    #: `degC`, `log10` of an amplitude, or empty.
+    unit: str
+    value: Optional[float]
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One epoch of a quantity, as it is judged for lasting change."""
+
+    TYPE: ClassVar[str] = "epoch"
+    VERSION: ClassVar[int] = 1
+    KEY: ClassVar[str] = "epoch/{quantity}"
+
+    structure: str
+    quantity: str
+    #: Middle of the epoch.
+    time_ns: int
+    epoch_s: float
+    #: Mean and standard deviation of ln(value). None if no value counts.
+    ln_mean: Optional[float]
+    ln_std: Optional[float]
+    #: Logarithm of the rms response to base 10, if a condition is an amplitude.
+    amplitude: Optional[float]
+    conditions: Tuple[EpochCondition, ...]
+    #: Whether all samples were measured.
+    measured: bool
+
+
+@dataclass(frozen=True)
 class Judgement:
     """State of one quantity that is judged for lasting change."""
 
@@ -627,6 +660,7 @@ Message = Union[
     Waveform,
     Spectrum,
     Condition,
+    Epoch,
     Judgement,
     Mode,
     ModelClass,
@@ -648,6 +682,7 @@ MESSAGES: Tuple[Type[Any], ...] = (
     Waveform,
     Spectrum,
     Condition,
+    Epoch,
     Judgement,
     Mode,
     ModelClass,

@@ -222,6 +222,18 @@ impl Keys {
         self.all(KeyFamily::Condition)
     }
 
+    /// Returns the key of the epochs of one judged quantity.
+    #[must_use]
+    pub fn epoch(&self, quantity: &Name) -> String {
+        self.key(KeyFamily::Epoch, quantity)
+    }
+
+    /// Returns the key expression of the epochs of all judged quantities.
+    #[must_use]
+    pub fn all_epochs(&self) -> String {
+        self.all(KeyFamily::Epoch)
+    }
+
     /// Returns the key of the judgement of one quantity.
     #[must_use]
     pub fn judgement(&self, quantity: &Name) -> String {

@@ -38,6 +38,8 @@ fn keys_are_those_of_the_design_table() {
         (keys.spectrum(&n), "spandrel/tower/sensor/storey-1/spectrum"),
         (keys.condition(&n), "spandrel/tower/condition/storey-1"),
         (keys.all_conditions(), "spandrel/tower/condition/*"),
+        (keys.epoch(&n), "spandrel/tower/epoch/storey-1"),
+        (keys.all_epochs(), "spandrel/tower/epoch/*"),
         (keys.judgement(&n), "spandrel/tower/judgement/storey-1"),
         (keys.all_judgements(), "spandrel/tower/judgement/*"),
         (

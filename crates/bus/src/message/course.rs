@@ -11,7 +11,7 @@ use super::{
 use crate::name::Name;
 
 /// Maximum number of conditions of a judgement.
-const MOST_CONDITIONS: usize = 16;
+pub(super) const MOST_CONDITIONS: usize = 16;
 /// Maximum number of delays of a reference.
 const MOST_DELAYS: usize = 64;
 

@@ -7,13 +7,13 @@ use crate::decoders::{Decode, TYPES};
 use proptest::prelude::*;
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Annotation, CaughtUp, ChannelState, ConditionDisplay,
-    Description, Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage, FitDisplay,
-    FrameBlock, Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalDensity,
-    LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message, ModeDisplay,
-    ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage, NoiseDisplay,
-    OutlierDisplay, Pace, ParameterDisplay, Progress, ReportPage, SampleBlock, ScreenedChannel,
-    SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, StreamState, ToldMotion,
-    ToldSamples, WaveformDisplay,
+    Description, EpochDisplay, Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage,
+    FitDisplay, FrameBlock, Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay,
+    LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message,
+    ModeDisplay, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage,
+    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, ReportPage, SampleBlock,
+    ScreenedChannel, SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, StreamState,
+    ToldMotion, ToldSamples, WaveformDisplay,
 };
 
 use std::path::Path;
@@ -295,6 +295,12 @@ fn encoded() -> Vec<(&'static str, Vec<u8>)> {
         text::<ReportPage>(
             "{\"structure\":\"demo\",\"report\":\"2022-12-20t10-34-01z\",\"html\":\"<p>strong</p>\",\
              \"json\":\"{}\"}",
+        ),
+        text::<EpochDisplay>(
+            "{\"structure\":\"demo\",\"quantity\":\"storey-2\",\"time_ns\":450000000000,\"epoch_s\":900.0,\
+             \"ln_mean\":-0.05,\"ln_std\":0.002,\"amplitude\":-2.5,\"conditions\":[\
+             {\"name\":\"deck\",\"unit\":\"degC\",\"value\":14.74},{\"name\":\"rms\",\"unit\":\"log10\",\"value\":-2.5}],\
+             \"measured\":true}",
         ),
     ]
 }

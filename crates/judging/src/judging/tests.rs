@@ -130,6 +130,43 @@ fn an_epoch_out_of_order_is_refused_and_changes_nothing() {
     assert_eq!(judging.displays(0), before);
 }
 
+#[test]
+fn an_epoch_is_stated_as_it_is_judged() {
+    let mut settings = plan().settings;
+    let condition = |name: &str, kind| spandrel_judge::Condition {
+        name: name.to_owned(),
+        kind,
+    };
+    settings.conditions = vec![
+        condition("deck", ConditionKind::Fahrenheit),
+        condition("rms", ConditionKind::Amplitude),
+        condition("air", ConditionKind::Celsius),
+    ];
+    let names = |of: &[&str]| of.iter().map(|of| name(of)).collect::<Vec<_>>();
+    let (quantities, conditions) = (names(&["pier", "girder"]), names(&["deck", "rms", "air"]));
+    let judging = Judging::new(name("bridge"), quantities, conditions, settings);
+    let mut closed = of_day(3, 0, 1.0);
+    closed.epoch.quantities = vec![Some(0.5), None];
+    closed.epoch.conditions = vec![Some(50.0), Some(0.01), Some(400.0)];
+    let displays = judging.unwrap().epoch_displays(&closed, 900.0);
+    assert_eq!(displays.len(), 2);
+    let [pier, girder] = [&displays[0], &displays[1]];
+    assert_eq!((pier.ln_mean, girder.ln_mean), (Some(0.5_f64.ln()), None));
+    assert_eq!(pier.ln_std, closed.deviations[0]);
+    assert_eq!((pier.time_ns, pier.epoch_s), (closed.middle_ns, 900.0));
+    assert_eq!(pier.amplitude, Some(-2.0));
+    let conditions = pier.conditions.iter();
+    let found: Vec<_> = conditions.map(|of| (of.unit.as_str(), of.value)).collect();
+    // 400 °C is not plausible.
+    assert_eq!(
+        found,
+        [("degC", Some(10.0)), ("log10", Some(-2.0)), ("degC", None)]
+    );
+    for display in &displays {
+        spandrel_bus::Message::check(display).unwrap();
+    }
+}
+
 fn annotation(day: i64, effect: AnnotationEffect) -> Annotation {
     Annotation {
         structure: name("bridge"),
