@@ -1,8 +1,8 @@
 //! The service `judge`: judges lasting changes of a structure from its live estimates.
 //!
 //! Takes the estimates of the parameters and the values of the conditions. Forms epochs of them,
-//! saves each epoch in a CSV file, and publishes the state of each quantity with one sentence. It
-//! answers queries for the history of a quantity: one row per day.
+//! saves each epoch in a CSV file, and publishes it. Publishes the state of each quantity with one
+//! sentence. Answers queries for the history of a quantity: one row per day.
 //!
 //! The file is a series that `spandrel judge --series` reads. After a restart, the service reads it
 //! with the same reader, so both give the same judgements, bit for bit.
