@@ -2,6 +2,7 @@
 
 use spandrel_bus::{MAX_CHANNELS, Name, NameError, TimeGrid};
 use spandrel_structure::Structure;
+use spandrel_waveforms::NodeChannels;
 
 /// A sensor node in a frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,6 +98,25 @@ impl Layout {
             structure.sampling_rate_hz(),
             structure.ingest().tolerance_s,
         )
+    }
+
+    /// Returns the channels of each node. `channels` contains their names in frame order.
+    ///
+    /// # Errors
+    /// The name of a channel is not a valid chunk of a key expression.
+    pub(crate) fn node_channels(
+        &self,
+        channels: &[String],
+    ) -> Result<Vec<NodeChannels>, NameError> {
+        let mut channels = channels.iter();
+        let of_node = |node: &NodeLayout| {
+            let names = channels.by_ref().take(node.ranges.len());
+            Ok(NodeChannels {
+                node: node.name.clone(),
+                channels: names.map(Name::new).collect::<Result<_, _>>()?,
+            })
+        };
+        self.nodes.iter().map(of_node).collect()
     }
 
     /// Returns the nodes in frame order.

@@ -54,11 +54,7 @@ mod missing_share;
 mod quality_watch;
 mod timekeeping;
 
-mod spectra;
-mod waveforms;
-
 mod disk;
-mod displays;
 mod error;
 mod recorder;
 mod shell;

@@ -12,12 +12,12 @@ use spandrel_bus::{
 use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
+use spandrel_waveforms::Displays;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::{info, warn};
 
 use crate::align::{Alignment, AlignmentInput, NodePlace};
 use crate::block_watch::{BlockReport, BlockWatch};
-use crate::displays::Displays;
 use crate::drop_watch::{DropReport, DropWatch};
 use crate::error::IngestError;
 use crate::layout::{Layout, NodeLayout};
@@ -25,7 +25,6 @@ use crate::missing_share::MissingShare;
 use crate::quality_watch::QualityWatch;
 use crate::recorder::{FolderChange, Past, Recorder, RecordingSettings};
 use crate::timekeeping::Timekeeping;
-use crate::waveforms::NodeChannels;
 
 mod clocks;
 
@@ -320,7 +319,7 @@ impl IngestService {
             let IngestSettings { waiting, recording } = settings;
             let ServiceInstance { bus, id, clock } = instance;
             let epoch = clock.epoch();
-            let shown = NodeChannels::of(&layout, &channels)?;
+            let shown = layout.node_channels(&channels)?;
             let names = shown.iter().flat_map(|node| node.channels.clone());
             let missing_share = MissingShare::new(names.collect(), layout.sampling_rate_hz());
             let (recorder, past) = match &recording {

@@ -13,9 +13,9 @@ use crate::waveforms::{NodeChannels, Waveforms};
 /// frames never wait for a display.
 const BLOCKS_WAITING: usize = 64;
 
-/// The task that reduces the frames of one structure and publishes the result.
+/// The task that reduces the frames of one structure or node, and publishes the result.
 #[derive(Debug)]
-pub(crate) struct Displays {
+pub struct Displays {
     blocks: flume::Sender<FrameBlock>,
     dropped: u64,
     task: JoinHandle<()>,
@@ -43,11 +43,12 @@ struct NodeTopics {
 }
 
 impl Displays {
-    /// Declares the topics and starts the task.
+    /// Declares the topics of `nodes` and starts the task. `nodes` are in frame order, and
+    /// `sampling_rate_hz` (Hz) is that of the frames. Without nodes, the task publishes nothing.
     ///
     /// # Errors
     /// The bus rejects a declaration.
-    pub(crate) async fn start(
+    pub async fn start(
         bus: &Bus,
         keys: &Keys,
         nodes: Vec<NodeChannels>,
@@ -83,19 +84,20 @@ impl Displays {
     }
 
     /// Passes a block to the task, unless its queue is full.
-    pub(crate) fn offer(&mut self, block: &FrameBlock) {
+    pub fn offer(&mut self, block: &FrameBlock) {
         if self.blocks.is_full() || self.blocks.try_send(block.clone()).is_err() {
             self.dropped += block.count();
         }
     }
 
     /// Returns the number of frames that were dropped because the queue was full.
-    pub(crate) fn dropped(&self) -> u64 {
+    #[must_use]
+    pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
     /// Publishes what the queue still contains, and ends the task.
-    pub(crate) async fn close(self) {
+    pub async fn close(self) {
         drop(self.blocks);
         // The task logs its own failure, and the panic hook reports a panic.
         drop(self.task.await);

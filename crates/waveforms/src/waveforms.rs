@@ -2,12 +2,8 @@
 //!
 //! Source of the running variance: B. P. Welford (1962), *Technometrics* 4, 419–420.
 
-use spandrel_bus::{
-    ChannelWaveform, FrameBlock, Name, NameError, SampleLevel, TimeGrid, WaveformDisplay,
-};
+use spandrel_bus::{ChannelWaveform, FrameBlock, Name, SampleLevel, TimeGrid, WaveformDisplay};
 use spandrel_checkpoint::Position;
-
-use crate::layout::Layout;
 
 /// Number of buckets in one message.
 const BUCKETS: u64 = 10;
@@ -16,27 +12,11 @@ const MESSAGE_S: f64 = 1.0;
 
 /// The channels of one node, in frame order.
 #[derive(Clone, Debug)]
-pub(crate) struct NodeChannels {
-    pub(crate) node: Name,
-    pub(crate) channels: Vec<Name>,
-}
-
-impl NodeChannels {
-    /// Returns the channels of each node. `channels` contains their names in frame order.
-    ///
-    /// # Errors
-    /// The name of a channel is not a valid chunk of a key expression.
-    pub(crate) fn of(layout: &Layout, channels: &[String]) -> Result<Vec<Self>, NameError> {
-        let mut channels = channels.iter();
-        let of_node = |node: &crate::layout::NodeLayout| {
-            let names = channels.by_ref().take(node.ranges.len());
-            Ok(Self {
-                node: node.name.clone(),
-                channels: names.map(Name::new).collect::<Result<_, _>>()?,
-            })
-        };
-        layout.nodes().iter().map(of_node).collect()
-    }
+pub struct NodeChannels {
+    /// Name of the node.
+    pub node: Name,
+    /// Names of its channels.
+    pub channels: Vec<Name>,
 }
 
 /// Derives one waveform message per node and second of measurement time from the frames.
