@@ -42,6 +42,7 @@ pub struct FusionPlan {
     pub(crate) motion: MotionPlan,
     pub(crate) detector: Option<GlobalDetector>,
     pub(crate) stale_periods: f64,
+    pub(crate) waveforms: bool,
 }
 
 /// The modes in which nodes send their motion.
@@ -97,6 +98,12 @@ impl FusionPlan {
     #[must_use]
     pub fn stale_periods(&self) -> f64 {
         self.stale_periods
+    }
+
+    /// Returns `true` if nodes publish waveforms and spectra of their samples for display.
+    #[must_use]
+    pub fn publishes_waveforms(&self) -> bool {
+        self.waveforms
     }
 }
 

@@ -189,8 +189,8 @@ impl Structure {
     /// Returns a text that changes whenever the basis of the identification changes.
     ///
     /// It is the file without its comments, alert rules, conditions, earthquakes, followed modes,
-    /// simulation, record table, description, place, contact, runbook and coordinates, followed by
-    /// the matrices that it names.
+    /// simulation, record table, description, place, contact, runbook and coordinates, and without
+    /// what nodes publish for display, followed by the matrices that it names.
     #[must_use]
     pub fn identification_basis(&self) -> String {
         // The text has been parsed successfully before.
@@ -214,6 +214,10 @@ impl Structure {
             structure.remove("place");
             structure.remove("contact");
             structure.remove("runbook");
+        }
+        let fusion = table.get_mut("fusion").and_then(toml::Value::as_table_mut);
+        if fusion.is_some_and(|fusion| fusion.remove("waveforms").is_some() && fusion.is_empty()) {
+            table.remove("fusion"); // as without the table, which is optional
         }
         let kind = table
             .get("model")

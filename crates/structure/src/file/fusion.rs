@@ -132,6 +132,7 @@ pub(super) fn read_fusion(
         motion: MotionPlan::None,
         detector: Some(DETECTOR),
         stale_periods: STALE_PERIODS,
+        waveforms: false,
     };
     let Some(mut section) = section else {
         check_rate(file, None, plan.rate_hz, rate_hz, nodes);
@@ -164,6 +165,7 @@ pub(super) fn read_fusion(
     motion.check_nodes(&section, nodes);
     plan.detector = read_detector(&mut section);
     plan.stale_periods = section.number_or("stale-periods", Allowed::FROM_ONE, STALE_PERIODS);
+    plan.waveforms = section.flag_or("waveforms", false);
     section.finish();
     Some(plan)
 }
@@ -189,6 +191,7 @@ fn refuse_fusion(mut section: Section<'_>) {
         "readmission",
         "weighting",
         "stale-periods",
+        "waveforms",
     ]);
     section.finish();
 }

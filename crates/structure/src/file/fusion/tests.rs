@@ -55,6 +55,23 @@ fn motion_is_not_shared_by_default() {
 }
 
 #[test]
+fn waveforms_are_published_on_request_and_change_no_identification() {
+    let [with_them, without] = ["rate-hz = 1\nwaveforms = true", "rate-hz = 1"].map(with);
+    let [with_them, without] = [with_them.unwrap(), without.unwrap()];
+    let publishes = |structure: &Structure| structure.fusion().unwrap().publishes_waveforms();
+    assert_eq!((publishes(&with_them), publishes(&without)), (true, false));
+    let basis = without.identification_basis();
+    assert_eq!(with_them.identification_basis(), basis);
+    // A table for this alone is as good as none.
+    let alone = with("waveforms = true").unwrap();
+    let start = FILE.find("[fusion]").unwrap();
+    let end = FILE.find("[simulation]").unwrap();
+    let none = format!("{}{}", &FILE[..start], &FILE[end..]);
+    let none = Structure::parse(&none, Path::new("building.toml")).unwrap();
+    assert_eq!(alone.identification_basis(), none.identification_basis());
+}
+
+#[test]
 fn weights_of_nodes_are_graded_on_request() {
     let weighting = |fusion| {
         with(fusion)
