@@ -6,8 +6,8 @@
 
 use crate::support::{DEADLINE, EstimateReader, Process, Site, assert_same_bits, spandrel, within};
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, LocalMessage, NodeDisplay, NodeHealth,
-    OutlierDisplay, Service,
+    AlertMessage, AlertState, Event, EventKind, LocalMessage, Message, Name, NodeDisplay,
+    NodeHealth, OutlierDisplay, Service, SpectrumDisplay, WaveformDisplay,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -285,6 +285,104 @@ async fn nodes_publish_rejected_samples_and_states_as_in_the_offline_summary() {
         .filter(|(_, event)| event.subject == "floor-8");
     let told: Vec<EventKind> = of_floor_8.map(|(_, event)| event.kind).collect();
     assert_eq!(told, [EventKind::NodeSilent, EventKind::NodeBack]);
+}
+
+/// The page had neither waveforms nor spectra of nodes with their own filters.
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_publish_waveforms_and_spectra_of_their_own_samples() {
+    const RATE_HZ: usize = 50;
+    /// The first window of 20.48 s has ended before the third spectrum, at 30 s.
+    const SECONDS: usize = 31;
+    let site = Site::with(&demo(&[]));
+    let record = site.simulate(SECONDS as f64);
+    let _services = site.run();
+    let bus = site.join().await;
+    let mut tokens = bus
+        .watch_live(site.keys().all_live(Service::Fuse))
+        .await
+        .unwrap();
+    within("token of fuse", tokens.some()).await;
+    let node = Name::new("floor-1").unwrap();
+    let waveforms = bus
+        .subscribe::<WaveformDisplay>(site.keys().waveform(&node), 1 << 10)
+        .await
+        .unwrap();
+    let spectra = bus
+        .subscribe::<SpectrumDisplay>(site.keys().spectrum(&node), 1 << 10)
+        .await
+        .unwrap();
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    site.replay(&record, "max").wait().expect_code(0);
+    reader.read_to_end(1).await;
+
+    let mut bytes = 0;
+    for second in 0..SECONDS - 1 {
+        let next = within("a waveform", waveforms.messages().recv_async()).await;
+        let (_, waveform) = next.unwrap();
+        bytes += waveform.encode().unwrap().len();
+        let first = second * RATE_HZ;
+        assert_eq!(waveform.time_ns, record.time_ns(first), "second {second}");
+        let names: Vec<&str> = waveform
+            .channels
+            .iter()
+            .map(|channel| channel.channel.as_str())
+            .collect();
+        assert_eq!(names, ["displacement-1", "acceleration-1"]);
+        for channel in &waveform.channels {
+            assert_eq!(channel.missing, 0, "second {second}");
+            for (bucket, ends) in channel.extremes.iter().enumerate() {
+                let rows = first + 5 * bucket..first + 5 * (bucket + 1);
+                let values = rows.map(|row| record.value(row, channel.channel.as_str()) as f32);
+                let least = values.clone().fold(f32::INFINITY, f32::min);
+                let largest = values.fold(f32::NEG_INFINITY, f32::max);
+                for (found, expected) in ends.unwrap().into_iter().zip([least, largest]) {
+                    // Seven significant digits.
+                    assert!(
+                        (found - expected).abs() <= 1e-6 * expected.abs(),
+                        "{} in second {second}: {found}, expected {expected}",
+                        channel.channel
+                    );
+                }
+            }
+        }
+    }
+    let mut last = None;
+    while last
+        .as_ref()
+        .is_none_or(|spectrum: &SpectrumDisplay| spectrum.channels[0].windows == 0)
+    {
+        let next = within("a spectrum", spectra.messages().recv_async()).await;
+        let (_, spectrum) = next.unwrap();
+        bytes += spectrum.encode().unwrap().len();
+        last = Some(spectrum);
+    }
+    // docs/distributed.md states this limit for a node with two channels.
+    let per_second = bytes as f64 / (SECONDS - 1) as f64;
+    println!("waveforms and spectra: {per_second:.0} bytes a second");
+    assert!(per_second < 2_500.0, "{per_second} bytes a second");
+}
+
+/// Without a request, a node sends nothing for display: its link may have little bandwidth.
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_publish_no_waveforms_by_default() {
+    let site = Site::with(&demo(&[("waveforms = true ", "")]));
+    let record = site.simulate(5.0);
+    let _services = site.run();
+    let bus = site.join().await;
+    let mut tokens = bus
+        .watch_live(site.keys().all_live(Service::Fuse))
+        .await
+        .unwrap();
+    within("token of fuse", tokens.some()).await;
+    let node = Name::new("floor-1").unwrap();
+    let waveforms = bus
+        .subscribe::<WaveformDisplay>(site.keys().waveform(&node), 1 << 10)
+        .await
+        .unwrap();
+    let mut reader = EstimateReader::join(&bus, &site.keys()).await;
+    site.replay(&record, "max").wait().expect_code(0);
+    reader.read_to_end(1).await;
+    assert_eq!(waveforms.messages().drain().count(), 0);
 }
 
 /// The demo must report the nodes whose data it falsifies.

@@ -132,10 +132,11 @@ pub fn rights(role: Role) -> Vec<(Right, KeyFamily)> {
             of_service(Service::Feed),
         ]
         .concat(),
+        // Waveforms and spectra are those of the node's own samples.
         Role::NodeWorker => [
             each(Right::Subscribe, &[K::Samples, K::Feedback]),
             each(Right::Query, &[K::Buffer]),
-            each(Right::Put, &[K::Local, K::Event]),
+            each(Right::Put, &[K::Local, K::Event, K::Waveform, K::Spectrum]),
             of_service(Service::Identify),
         ]
         .concat(),
@@ -353,7 +354,7 @@ fn progress(right: Right) -> Vec<(Right, KeyFamily)> {
 #[must_use]
 pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
     match family {
-        K::Samples | K::Buffer | K::Local | K::Feedback => true,
+        K::Samples | K::Buffer | K::Local | K::Feedback | K::Waveform | K::Spectrum => true,
         // A node announces itself but watches all others.
         K::Live(_) | K::Status(_) | K::Simulated => matches!(right, Right::Announce | Right::Put),
         K::Frames
@@ -369,8 +370,6 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Node
         | K::Outlier
         | K::SensorHealth
-        | K::Waveform
-        | K::Spectrum
         | K::Condition
         | K::Epoch
         | K::Judgement
@@ -449,6 +448,17 @@ mod tests {
             .filter(|role| may(*role, Right::Put, K::Alert))
             .collect();
         assert_eq!(deciders, [Role::Server, Role::Alert]);
+    }
+
+    #[test]
+    fn waveforms_are_of_ingest_or_of_the_worker_of_the_node_itself() {
+        let publishers = Role::ALL.into_iter();
+        let publishers = publishers.filter(|role| may(*role, Right::Put, K::Waveform));
+        assert_eq!(
+            publishers.collect::<Vec<_>>(),
+            [Role::Server, Role::Worker, Role::NodeWorker]
+        );
+        assert!(is_of_node(Right::Put, K::Waveform) && is_of_node(Right::Put, K::Spectrum));
     }
 
     #[test]

@@ -27,6 +27,7 @@ mod load;
 mod memory;
 mod model_classes;
 pub mod node;
+mod node_frames;
 mod node_screening;
 pub mod node_shell;
 mod particles;

@@ -10,11 +10,12 @@
 
 use crate::error::IdentifyError;
 use crate::identification::BRIDGED_GAP_S;
+use crate::node_frames::NodeFrames;
 use crate::node_screening::NodeScreening;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{
-    Event, EventKind, FeedbackMessage, Header, LocalDensity, LocalMessage, Name, NodeLineage, Pace,
-    SampleBlock, StreamState, TimeGrid, ToldMotion,
+    Event, EventKind, FeedbackMessage, FrameBlock, Header, LocalDensity, LocalMessage, Name,
+    NodeLineage, Pace, SampleBlock, StreamState, TimeGrid, ToldMotion,
 };
 use spandrel_checkpoint::Position;
 use spandrel_filter::fusion::{
@@ -59,6 +60,9 @@ pub enum NodeOutput {
     Local(LocalMessage),
     /// An event.
     Event(Event),
+    /// The samples of this run as frames on the grid of their rate since 1970, before the low-pass
+    /// filter. Only if the structure file requests waveforms of the nodes.
+    Frames(FrameBlock),
 }
 
 /// Identification by one sensor node.
@@ -96,6 +100,8 @@ pub struct NodeIdentification {
     told_units: Vec<i16>,
     variances: bool,
     done: u64,
+    /// The samples of the present input. `None` if the node publishes no waveforms.
+    frames: Option<NodeFrames>,
 }
 
 /// Position in the current epoch of samples.
@@ -195,6 +201,10 @@ impl NodeIdentification {
             told_units: structure.told_units(position),
             variances: plan.sends_variances(),
             done: 0,
+            frames: plan
+                .publishes_waveforms()
+                .then(|| NodeFrames::new(node.name(), own.sampling_rate_hz(), channels))
+                .flatten(),
             filter,
         })
     }
@@ -212,6 +222,14 @@ impl NodeIdentification {
         {
             self.take_block(block, outputs);
         }
+        outputs.extend(self.take_frames().into_iter().map(NodeOutput::Frames));
+    }
+
+    fn take_frames(&mut self) -> Vec<FrameBlock> {
+        self.frames
+            .as_mut()
+            .map(NodeFrames::take)
+            .unwrap_or_default()
     }
 
     /// Returns the next block to filter. `None` if there is none, or if its time has jumped and the
@@ -257,6 +275,7 @@ impl NodeIdentification {
             self.take_block(block, &mut found);
             self.stop_waiting();
         }
+        drop(self.take_frames()); // the earlier run has published their waveforms
         outputs.extend(
             found
                 .into_iter()
@@ -472,6 +491,9 @@ impl NodeIdentification {
             if !(sample.is_nan() || sample.abs() <= *range) {
                 *self.dropped.entry("absurd-samples").or_default() += 1;
             }
+        }
+        if let Some((frames, stream)) = self.frames.as_mut().zip(self.stream) {
+            frames.push(stream.epoch, stream.number.saturating_add(1), &self.sample);
         }
         if let Some(band_limit) = &mut self.band_limit {
             band_limit.apply(&mut self.sample);

@@ -15,6 +15,7 @@ use spandrel_service::{
     Clock, EventPublisher, Monitored, Report, STATUS_EVERY, ServiceInstance, StatusPublisher, Stop,
 };
 use spandrel_structure::Structure;
+use spandrel_waveforms::{Displays, NodeChannels};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -73,6 +74,8 @@ pub struct NodeService {
     at_work: Option<Span>,
     feedback: Subscription<FeedbackMessage>,
     local: DisplayPublisher<LocalMessage>,
+    /// Waveforms and spectra of the samples. `None` unless the structure file requests them.
+    displays: Option<Displays>,
     events: EventPublisher,
     status: StatusPublisher,
     structure: Name,
@@ -125,6 +128,7 @@ impl NodeService {
                 remembering,
             } = monitored;
             let mut core = NodeIdentification::new(structure, *position, clock.epoch())?;
+            let displays = start_displays(bus, monitored, *position).await?;
             let named = |name: &str| {
                 Name::new(name).map_err(|source| IdentifyError::Name {
                     structure: structure.name().to_owned(),
@@ -161,6 +165,7 @@ impl NodeService {
                 pool: pool.clone(),
                 feedback: bus.subscribe(keys.feedback(&node), ANSWERS_WAITING).await?,
                 local: bus.publish_display(keys.local(&node)).await?,
+                displays,
                 events: EventPublisher::declare(bus, keys).await?,
                 status: instance.publish_status(Service::Identify, keys).await?,
                 token: Some(instance.announce(Service::Identify, keys).await?),
@@ -226,6 +231,9 @@ impl NodeService {
             {
                 self.take_delivery(delivery).await?;
                 self.take(NodeInput::NoAnswer).await?;
+            }
+            if let Some(displays) = self.displays.take() {
+                displays.close().await;
             }
             self.keep().await;
             if let Some(keeper) = &mut self.keeper {
@@ -317,6 +325,11 @@ impl NodeService {
             match output {
                 NodeOutput::Local(message) => self.local.put(&message).await?,
                 NodeOutput::Event(event) => self.events.put(&event).await?,
+                NodeOutput::Frames(block) => {
+                    if let Some(displays) = &mut self.displays {
+                        displays.offer(&block);
+                    }
+                }
             }
         }
         if self.keeper.as_ref().is_some_and(Keeper::is_due) {
@@ -373,6 +386,10 @@ impl NodeService {
         for (reason, count) in core.into_iter().flat_map(NodeIdentification::dropped) {
             *drops.entry((*reason).to_owned()).or_default() += count;
         }
+        let shed = self.displays.as_ref().map_or(0, Displays::dropped);
+        if shed > 0 {
+            drops.insert("shed-frames".to_owned(), shed);
+        }
         if self.set_aside.samples() > 0 {
             drops.insert("samples-set-aside".to_owned(), self.set_aside.samples());
         }
@@ -390,6 +407,41 @@ impl NodeService {
         };
         Ok(self.status.put(report).await?)
     }
+}
+
+/// Starts the waveforms and spectra of the node at `position`. Returns `None` unless the structure
+/// file requests them.
+async fn start_displays(
+    bus: &Bus,
+    monitored: &Monitored,
+    position: usize,
+) -> Result<Option<Displays>, IdentifyError> {
+    let Monitored {
+        structure, keys, ..
+    } = monitored;
+    let is_requested = structure
+        .fusion()
+        .is_some_and(|plan| plan.publishes_waveforms());
+    let Some(node) = structure.nodes().get(position).filter(|_| is_requested) else {
+        return Ok(None);
+    };
+    let named = |name: &str| {
+        Name::new(name).map_err(|source| IdentifyError::Name {
+            structure: structure.name().to_owned(),
+            source,
+        })
+    };
+    let channels = node.channels().iter().map(|channel| named(channel.name()));
+    let shown = NodeChannels {
+        node: named(node.name())?,
+        channels: channels.collect::<Result<_, _>>()?,
+    };
+    let rate_hz = node
+        .sampling_rate_hz()
+        .unwrap_or(structure.sampling_rate_hz());
+    Ok(Some(
+        Displays::start(bus, keys, vec![shown], rate_hz).await?,
+    ))
 }
 
 /// Restores the worker from its last readable checkpoint, if any. Returns the keeper of the next

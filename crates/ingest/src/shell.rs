@@ -85,6 +85,9 @@ pub struct IngestPlan {
 pub struct IngestSettings {
     /// How long frames wait for late samples.
     pub waiting: FrameWait,
+    /// Whether the nodes publish waveforms and spectra of their samples. Ingest then publishes
+    /// none.
+    pub nodes_publish_waveforms: bool,
     /// Settings of the recording. With `None`, frames are not recorded, and every start begins a
     /// new epoch.
     pub recording: Option<RecordingSettings>,
@@ -296,6 +299,9 @@ impl IngestService {
         let lateness = Duration::try_from_secs_f64(structure.ingest().lateness_s);
         let settings = IngestSettings {
             waiting: lateness.map_or(FrameWait::Unlimited, FrameWait::Limited),
+            nodes_publish_waveforms: structure
+                .fusion()
+                .is_some_and(|plan| plan.publishes_waveforms()),
             recording: plan.recording.clone(),
         };
         Self::start_with(layout, channels, &plan.instance, keys.clone(), settings).await
@@ -316,7 +322,11 @@ impl IngestService {
         settings: IngestSettings,
     ) -> BoxedFuture<'a, Result<Self, IngestError>> {
         Box::pin(async move {
-            let IngestSettings { waiting, recording } = settings;
+            let IngestSettings {
+                waiting,
+                nodes_publish_waveforms,
+                recording,
+            } = settings;
             let ServiceInstance { bus, id, clock } = instance;
             let epoch = clock.epoch();
             let shown = layout.node_channels(&channels)?;
@@ -377,6 +387,10 @@ impl IngestService {
             });
             let frames = bus.publish_archived(stream, older).await?;
             let rate_hz = layout.sampling_rate_hz();
+            let shown = match nodes_publish_waveforms {
+                true => Vec::new(), // two messages of each second would contradict each other
+                false => shown,
+            };
             let displays = Displays::start(bus, &keys, shown, rate_hz).await?;
             let readings = readings(bus, &keys, &layout, &places);
             let node_count = readings.len();

@@ -72,6 +72,7 @@ async fn start_ingest_of(
     };
     let settings = IngestSettings {
         waiting,
+        nodes_publish_waveforms: false,
         recording: None,
     };
     let service = IngestService::start_with(layout, channels, &instance, keys(), settings)

@@ -86,6 +86,7 @@ impl Network {
             match output {
                 NodeOutput::Local(message) => self.local.push_back((node, message)),
                 NodeOutput::Event(event) => spandrel_service::log_event(&event, self.start_ns),
+                NodeOutput::Frames(_) => {} // nobody displays them
             }
         }
     }

@@ -6,11 +6,16 @@ const FILE: &str = include_str!("../../../../docs/examples/forty-storey-building
 
 /// Returns a worker of the fourth node at 25 Hz, without motion in its messages.
 fn worker() -> NodeIdentification {
+    worker_with("")
+}
+
+/// Returns the same worker with another line in the table `[fusion]`.
+fn worker_with(line: &str) -> NodeIdentification {
     let mut text = FILE.to_owned();
     for (line, other) in [
         ("sampling-rate-hz = 250", "sampling-rate-hz = 25"),
         ("motion = \"samples\"", "motion = \"none\""),
-        ("samples-per-period = 50", ""),
+        ("samples-per-period = 50", line),
     ] {
         assert_eq!(text.matches(line).count(), 1, "{line}");
         text = text.replace(line, other);
@@ -58,7 +63,7 @@ fn run(
         .for_each(|input| worker.handle(input, &mut outputs));
     let local = outputs.into_iter().filter_map(|output| match output {
         NodeOutput::Local(message) => Some(message),
-        NodeOutput::Event(_) => None,
+        NodeOutput::Event(_) | NodeOutput::Frames(_) => None,
     });
     local.collect()
 }
@@ -131,6 +136,56 @@ fn replayed_samples_wait_for_each_reply_for_any_block_size() {
         (whole[1][0] - whole[0][0] - 0.01).abs() < 0.02,
         "the answer has been taken"
     );
+}
+
+fn frames(
+    worker: &mut NodeIdentification,
+    inputs: impl IntoIterator<Item = NodeInput>,
+) -> Vec<FrameBlock> {
+    let mut outputs = Vec::new();
+    inputs
+        .into_iter()
+        .for_each(|input| worker.handle(input, &mut outputs));
+    let frames = outputs.into_iter().filter_map(|output| match output {
+        NodeOutput::Frames(block) => Some(block),
+        NodeOutput::Local(_) | NodeOutput::Event(_) => None,
+    });
+    frames.collect()
+}
+
+#[test]
+fn frames_for_waveforms_contain_all_samples_and_the_missing_ones() {
+    let mut worker = worker_with("waveforms = true");
+    let blocks = [samples(50, 110, Pace::Live), samples(120, 150, Pace::Live)];
+    let found = frames(&mut worker, blocks.clone().map(NodeInput::Samples));
+    let spans: Vec<_> = found
+        .iter()
+        .map(|block| (block.header.sequence, spandrel_bus::Block::end(block)))
+        .collect();
+    // The numbers count from 1970, when the samples would have begun.
+    assert_eq!(spans, [(50, 110), (110, 150)]);
+    for block in &found {
+        spandrel_bus::Message::check(block).unwrap();
+        assert_eq!((block.t0_ns, block.sampling_rate_hz), (0, 25.0));
+    }
+    assert_eq!(found[0].values, blocks[0].samples);
+    let (missing, rest) = found[1].values.split_at(20);
+    assert!(missing.iter().all(|value| value.is_nan()), "{missing:?}");
+    assert_eq!(rest, blocks[1].samples);
+}
+
+#[test]
+fn frames_are_of_this_run_and_on_request_only() {
+    let inputs = || {
+        [
+            NodeInput::Past(samples(0, 50, Pace::Live)),
+            NodeInput::Samples(samples(50, 75, Pace::Live)),
+        ]
+    };
+    let found = frames(&mut worker_with("waveforms = true"), inputs());
+    let starts: Vec<u64> = found.iter().map(|block| block.header.sequence).collect();
+    assert_eq!(starts, [50]);
+    assert_eq!(frames(&mut worker(), inputs()), []);
 }
 
 #[test]
@@ -391,6 +446,7 @@ fn samples_after_a_step_of_the_clock_are_used() {
             match output {
                 NodeOutput::Local(message) => sent.push(message.header.time_ns / 40_000_000),
                 NodeOutput::Event(event) => events.push(event.kind),
+                NodeOutput::Frames(_) => panic!("the structure file requests no waveforms"),
             }
         }
         assert_eq!(sent, [24, 49, 74 + 25 * step_s, 99 + 25 * step_s]);
