@@ -246,6 +246,58 @@ async fn forty_sensors_have_small_waveforms_with_details_of_one() {
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
+/// The page had neither waveforms nor spectra of nodes with their own filters.
+#[tokio::test(flavor = "multi_thread")]
+async fn waveforms_of_nodes_with_their_own_filters_are_shown() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let demo = demo(&["--distributed"]);
+    browser.resize(1280, 900).await;
+    browser
+        .open(&format!(
+            "{}#/structure/demo-distributed/sensors",
+            demo.page
+        ))
+        .await;
+    browser
+        .wait(
+            "the waveforms and figures of all channels",
+            "document.querySelectorAll('.small-sensor').length === 32 && \
+             [...document.querySelectorAll('.small-sensor .figures')].some((one) => /^50 Hz · RMS \
+             .+ · Peak .+ m\\/s²/.test(one.textContent))",
+        )
+        .await;
+    browser
+        .evaluate("document.querySelector('[data-channel=acceleration-1].small-sensor').click()")
+        .await;
+    let large = "/ to .+ m\\/s²$/.test(document.querySelector('#plot-waveform-acceleration-1 \
+                 .readout')?.textContent)";
+    browser.wait("the large waveform", large).await;
+    browser
+        .wait(
+            "its spectrum",
+            "(document.querySelector('#plot-spectrum-acceleration-1')?.scrollIntoView(), \
+             document.querySelector('#plot-spectrum-acceleration-1 canvas'))",
+        )
+        .await;
+    browser.screenshot("waveforms-of-nodes").await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
+    // The samples of the past stay at the nodes, and the page says so.
+    browser
+        .evaluate(
+            "location.hash = '#/structure/demo-distributed/sensors?from=1600000000&to=1600000020'",
+        )
+        .await;
+    browser
+        .wait(
+            "the reason",
+            "document.querySelector('#group-waveforms \
+             .told:not([hidden])')?.textContent.includes('the samples stay at the nodes')",
+        )
+        .await;
+}
+
 /// Regression test: the waveforms of an event were lost with a restart, and had ten points a second.
 #[tokio::test(flavor = "multi_thread")]
 async fn waveforms_of_an_event_are_those_of_the_recording() {

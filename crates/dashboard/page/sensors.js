@@ -48,6 +48,8 @@ export class SensorsTab {
     const heads = h("tr", {}, this.sorting.heads);
     const scroll = { class: "scroll tall", tabindex: "0", role: "region", "aria-label": t("sensors") };
     this.search = searchField(this.sensors.size, t("find-a-sensor"), changed);
+    // The samples of sensors with their own filters stay at their nodes.
+    const stay = about.has_waveforms ? t("samples-stay-waveforms-come") : t("samples-stay-at-the-nodes");
     const rate = t("all-channels-have-samples-per-second", number(about.sampling_rate_hz));
     this.nodes = new NodeTable();
     this.conditionList = h("ul", { class: "sensor-list", id: "conditions" });
@@ -57,8 +59,7 @@ export class SensorsTab {
     this.spectra.band.onchange(() => [...this.groups.spectra.plots, ...this.detail.values()].forEach((plot) => plot.dirty()));
     this.recording = new Recording(page);
     this.waveforms = new WaveformPoints(page.name, page.span, this.recording);
-    // The samples of sensors with their own filters stay at their nodes.
-    const isMany = this.sensors.size > MOST_FULL && !about.distributed;
+    const isMany = this.sensors.size > MOST_FULL && about.has_waveforms;
     this.smalls = isMany ? new SensorSmalls(page, this.sensors, this.recording, (channel) => this.#open(channel)) : null;
     this.detail = new Map();
     this.detailPlots = h("div", { class: "plots" });
@@ -87,7 +88,7 @@ export class SensorsTab {
     }
     const folded = (text, ...content) => (isMany ? h("details", { class: "routine" }, h("summary", {}, text), content) : content);
     this.samples = h("section", { class: "card", id: "levels", hidden: true }, h("h2", {}, t("samples-of-the-last-minute")), folded(t("show-the-table"), h("p", { class: "group-text" }, levelText), this.levelSorting.field, h("div", levelScroll, h("table", { class: "sensors levels" }, h("thead", {}, levelHeads), this.levels))));
-    const table = h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), isMany ? null : this.search.element), h("p", { class: "group-text" }, rate, about.distributed ? ` ${t("samples-stay-at-the-nodes")}` : ""), folded(t("show-the-table"), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))));
+    const table = h("section", { class: "card", id: "sensors" }, h("div", { class: "card-head" }, h("h2", {}, t("sensors")), isMany ? null : this.search.element), h("p", { class: "group-text" }, rate, about.distributed ? ` ${stay}` : ""), folded(t("show-the-table"), this.sorting.field, h("div", scroll, h("table", { class: "sensors" }, h("thead", {}, heads), this.rows))));
     this.element = h("div", {}, isMany ? this.groups.waveforms.element : null, table, this.samples, Object.values(this.groups).map(({ element }) => element).filter((element) => !isMany || element !== this.groups.waveforms.element));
   }
 

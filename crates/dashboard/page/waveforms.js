@@ -27,7 +27,7 @@ export class Recording {
   hasPoints = false;
 
   constructor({ name, about }) {
-    Object.assign(this, { name, longest_s: longestRange(about), channels: about.drawing.sensors.map(({ channel }) => channel) });
+    Object.assign(this, { name, isAtNodes: about.distributed, longest_s: longestRange(about), channels: about.drawing.sensors.map(({ channel }) => channel) });
   }
 
   /** Begins with another range [from, to] (s), or with live data (null). */
@@ -61,6 +61,7 @@ export class Recording {
 
   async #read(known) {
     const [from_s, to_s] = known.range;
+    if (this.isAtNodes) return { why: t("waveforms-not-kept") };
     if (to_s - from_s > this.longest_s) return { why: t("waveforms-of-shorter-ranges", duration(this.longest_s)) };
     await new Promise((done) => setTimeout(done, SETTLE_MS));
     if (known !== this.#known) return { why: "" };

@@ -26,6 +26,8 @@ pub(crate) struct About {
     pub(crate) is_filtered: bool,
     /// Whether nodes identify the structure from their own samples and a station fuses the results.
     pub(crate) distributed: bool,
+    /// Whether waveforms and spectra of the sensors are published.
+    pub(crate) has_waveforms: bool,
     pub(crate) parameters: Vec<AboutParameter>,
     pub(crate) noise: Vec<AboutNoise>,
     pub(crate) conditions: Vec<AboutCondition>,
@@ -150,6 +152,9 @@ impl About {
             has_model: structure.has_model(),
             is_filtered: structure.is_filtered(),
             distributed: structure.fusion().is_some(),
+            has_waveforms: structure
+                .fusion()
+                .is_none_or(|plan| plan.publishes_waveforms()),
             parameters: parameters.collect(),
             noise: noise.collect(),
             conditions: conditions.collect(),
