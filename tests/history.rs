@@ -50,6 +50,22 @@ async fn span(
     .await
 }
 
+/// Starts a page in a separate process. Returns its address.
+fn start_page(site: &Site) -> (Process, String) {
+    let page = Process::start(site.connecting("dashboard").args(["--http", "127.0.0.1:0"]));
+    page.wait_for_output("address of the page", |said| said.contains("page: http://"));
+    let said = page.output();
+    let address = said
+        .split("page: http://")
+        .nth(1)
+        .unwrap()
+        .split('/')
+        .next()
+        .unwrap()
+        .to_owned();
+    (page, address)
+}
+
 /// Sends one request to the interface of the page.
 pub fn get(address: &str, path: &str) -> Value {
     let mut stream = TcpStream::connect(address).unwrap();
@@ -152,17 +168,7 @@ async fn the_history_survives_a_restart_of_all_services() {
     }
 
     // A page that has not received any of it shows the history.
-    let page = Process::start(site.connecting("dashboard").args(["--http", "127.0.0.1:0"]));
-    page.wait_for_output("address of the page", |said| said.contains("page: http://"));
-    let said = page.output();
-    let address = said
-        .split("page: http://")
-        .nth(1)
-        .unwrap()
-        .split('/')
-        .next()
-        .unwrap()
-        .to_owned();
+    let (_page, address) = start_page(&site);
     let shown = within("the page has found the history", async {
         loop {
             let path =
@@ -193,6 +199,59 @@ async fn the_history_survives_a_restart_of_all_services() {
         }
     })
     .await;
+}
+
+/// Regression test: the series of a waveform from before the start of the page was empty, although
+/// the page drew it.
+#[tokio::test(flavor = "multi_thread")]
+async fn waveforms_from_before_a_restart_of_the_page_are_those_of_the_recording() {
+    const POINTS: usize = 10;
+    const ROWS: usize = 100;
+    let site = Site::with(&two_storeys(""));
+    let services = Process::start(site.listening("run").args(["--http", "none"]));
+    services.wait_for_log("ready structures=1");
+    let bus = site.join().await;
+    site.wait_for_services(&bus).await;
+    let record = site.simulate(30.0);
+    site.replay(&record, "max").wait().expect_code(0);
+    let (_page, address) = start_page(&site);
+    let first = (0..record.len()).find(|row| record.time_ns(*row) == 20_000_000_000);
+    let first = first.expect("a row at 20 s");
+    // Ten intervals of ten samples each. The range ends within the last step.
+    let path = format!(
+        "/api/structures/house/history?series=waveform/floor-1&from=20&to=20.9999&points={POINTS}"
+    );
+    let span = within("the waveform", async {
+        loop {
+            let span = tokio::task::block_in_place(|| get(&address, &path));
+            if span["series"][0]["data"][0] != json!([]) {
+                return span;
+            }
+            // The page may not have found ingest yet.
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    })
+    .await;
+    assert_eq!(span["unread_waveforms"], json!(null));
+    let column = |column: usize| span["series"][0]["data"][column].as_array().unwrap();
+    assert_eq!(column(0).len(), POINTS);
+    for point in 0..POINTS {
+        let from = first + point * ROWS / POINTS;
+        let values = (from..from + ROWS / POINTS).map(|row| record.value(row, "floor-1"));
+        let expected = [
+            record.time_ns(from) as f64 / 1e9,
+            values.clone().fold(f64::INFINITY, f64::min),
+            values.fold(f64::NEG_INFINITY, f64::max),
+        ];
+        for (place, expected) in expected.into_iter().enumerate() {
+            let found = column(place)[point].as_f64().unwrap();
+            assert!(
+                (found - expected).abs() < 1e-9,
+                "point {point}, column {place}: {found}, expected {expected}"
+            );
+        }
+    }
+    services.stop().expect_code(0);
 }
 
 /// Writes until the file system is full.

@@ -519,7 +519,8 @@ async fn a_free_range_is_shown_and_exported() {
         )
     );
     let csv = "(async () => { const link = document.querySelector('#free-range a'); \
-               link.addEventListener('click', (event) => event.preventDefault()); link.click(); \
+               HTMLAnchorElement.prototype.click = () => {}; \
+               link.dispatchEvent(new MouseEvent('click', { cancelable: true })); \
                return (await (await fetch(link.href)).text()).trim().split('\\n'); })()";
     let lines = browser.evaluate(csv).await;
     let lines = lines.as_array().unwrap();

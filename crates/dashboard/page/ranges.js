@@ -2,6 +2,7 @@
 
 import { h, setText } from "./dom.js";
 import { t } from "./language.js";
+import { saved } from "./samples.js";
 import { LENGTHS } from "./span.js";
 import { duration, fieldOf, isWithoutDate, time, timeOfField, zone } from "./words.js";
 
@@ -58,7 +59,7 @@ export class RangeBar {
       this.to,
       this.zone,
       h("button", { type: "submit" }, t("show")),
-      csv ? h("a", { class: "button", href: "#", download: "", onclick: (event) => (event.currentTarget.href = csv()) }, t("csv-of-all-plots")) : null,
+      csv ? h("a", { class: "button", href: "#", download: "", onclick: (event) => this.#save(event, csv()) }, t("csv-of-all-plots")) : null,
       report ? h("a", { class: "button", href: "#", onclick: (event) => (event.currentTarget.href = report()) }, t("report")) : null,
       this.told,
       samples ? h("span", {}, t("samples"), " ", samples) : null,
@@ -83,6 +84,14 @@ export class RangeBar {
     showTimes([this.from, this.to], [min, max], this.zone);
     setText(this.told, "");
     this.from.focus();
+  }
+
+  /** Saves the data of all plots. If the server refuses them, the reason is shown beside the link. */
+  async #save(event, address) {
+    event.currentTarget.href = address;
+    if (!address.startsWith("/api/")) return;
+    event.preventDefault();
+    setText(this.told, await saved(address));
   }
 
   #submit(event) {

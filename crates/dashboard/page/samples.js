@@ -29,7 +29,7 @@ export function samplesExport(structure, range, about) {
 }
 
 /** Saves a file, and returns what prevents it, or nothing. */
-async function saved(address) {
+export async function saved(address) {
   try {
     const response = await fetch(address);
     if (!response.ok) {

@@ -134,7 +134,8 @@ export class Points {
   /** Refetches the span. Returns whether data has arrived. */
   async fetch(names) {
     for (const name of names) this.#entry(name).asked = true;
-    const response = await fetch(this.#address(names, this.count));
+    // The page itself reads the samples of a range of waveforms, once for all of its plots.
+    const response = await fetch(this.#address(names, this.count) + (this.isEnvelope ? "&recorded=false" : ""));
     if (!response.ok) {
       for (const name of names) this.#entry(name).asked = false;
       return false;

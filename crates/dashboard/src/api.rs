@@ -5,15 +5,16 @@ use crate::entrance::{self, SESSION_PATH, pass, signed};
 use crate::entries::{person, text, wrong};
 use crate::gate::{SessionEnd, Visitor};
 use crate::health::{self, LIVE_PATH, READY_PATH};
-use crate::history::{self, Asked, Format, Refused};
+use crate::history::{self, Asked, Format, Refused, Span, Unkept};
 use crate::judgements;
 use crate::live;
 use crate::log::{self, FromHistory, WantedLog};
 use crate::metrics::{self, metrics};
 use crate::overview::overview;
 use crate::page::{ASSETS, TRANSPORT_SECURITY, with_headers};
+use crate::recorded::{self, Source};
 use crate::reports::WantedReport;
-use crate::samples::{self, WantedSamples};
+use crate::samples::{self, WantedSamples, read_range};
 use crate::server::{Server, now_ns};
 use crate::serving::ClientAddress;
 use crate::store::Store;
@@ -293,9 +294,10 @@ async fn read_history(
     asked: Result<Query<Asked>, QueryRejection>,
 ) -> Result<Response, Mistake> {
     let Query(asked) = asked?;
-    let (mut span, earlier) = {
+    let (mut span, earlier, source) = {
         let store = find(&server, &name)?;
-        history::read(&store, &history::Request::new(&asked, &store)?)
+        let (span, earlier) = history::read(&store, &history::Request::new(&asked, &store)?);
+        (span, earlier, Source::of(&store))
     };
     let replies = server.ask_history(&name, earlier).await;
     if replies.is_incomplete && asked.format == Format::Csv {
@@ -310,10 +312,36 @@ async fn read_history(
     for (earlier, answer) in replies.spans {
         span.put_before(&earlier, &answer);
     }
+    let unkept = std::mem::take(&mut span.unkept);
+    match recorded::read(&server, &name, &source, unkept.clone()).await {
+        Ok(tables) => {
+            let both = unkept.iter().zip(tables);
+            both.for_each(|(range, table)| span.put_recorded(range, table));
+        }
+        // A table has no place to state that rows are missing.
+        Err(mistake)
+            if asked.format == Format::Csv && refuses(mistake.status, &source, &span, &unkept) =>
+        {
+            return Err(mistake);
+        }
+        Err(mistake) => span.unread_waveforms = Some(mistake.what),
+    }
     Ok(match asked.format {
         Format::Json => Json(span).into_response(),
         Format::Csv => csv(&name, span.csv()),
     })
+}
+
+/// Returns `true` if a table is not written, because waveforms could not be read.
+///
+/// If ingest is busy, another attempt gives the whole table. Otherwise, the table contains what there
+/// is, unless it would not show that waveforms are missing.
+fn refuses(why: StatusCode, source: &Source, span: &Span, unkept: &[Unkept]) -> bool {
+    match why {
+        StatusCode::SERVICE_UNAVAILABLE if source.has_ingest => true,
+        StatusCode::NOT_FOUND => span.is_empty(), // nothing was recorded
+        _ => span.lacks(unkept),
+    }
 }
 
 async fn read_log(
@@ -370,28 +398,8 @@ async fn read_samples(
         let wanted = WantedSamples::new(&asked, sensors.len(), rate_hz)?;
         (wanted, sensors.clone(), rate_hz)
     };
-    let unavailable =
-        |what: &str, allowed: &str| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, what, allowed);
-    let place = server.admit_export().ok_or_else(|| {
-        unavailable(
-            "another export of samples is running",
-            "try again in a few seconds",
-        )
-    })?;
     let stretch = Stretch::new(wanted.from_ns, wanted.to_ns, sensors.len());
-    let stretch = server.read_stretch(&name, stretch).await?.ok_or_else(|| {
-        unavailable(
-            "the service ingest does not answer",
-            "must run for this structure; try again",
-        )
-    })?;
-    if stretch.times_ns.is_empty() {
-        return Err(Mistake::new(
-            StatusCode::NOT_FOUND,
-            "no samples in this range",
-            "must be a range that ingest has recorded and still keeps",
-        ));
-    }
+    let (place, stretch) = read_range(&server, &name, stretch).await?;
     let write = move || {
         let response = wanted.write(&name, stretch, &sensors, rate_hz);
         drop(place); // the memory of the samples is free again

@@ -3,7 +3,8 @@
 //! [`read`] handles all spans that the page or a script requests. It returns the data that the
 //! dashboard has collected since its start, and lists the missing parts. The history service
 //! supplies these, and [`Span::put_before`] inserts its replies. Without a history service, the
-//! reply states the time of the first stored value.
+//! reply states the time of the first stored value. Of waveforms, the recording of ingest supplies
+//! the missing part.
 
 use crate::series::{Series, Table};
 use crate::store::Store;
@@ -30,6 +31,9 @@ pub(crate) struct Asked {
     from: Option<String>,
     to: Option<String>,
     points: Option<usize>,
+    /// Whether waveforms from before the stored ones are read from the recording of ingest. The
+    /// default is `true`.
+    recorded: Option<bool>,
     #[serde(default)]
     pub(crate) format: Format,
 }
@@ -50,6 +54,7 @@ pub(crate) struct Request {
     from_ns: i64,
     to_ns: i64,
     points: usize,
+    reads_recording: bool,
 }
 
 /// Reason for rejecting a request, in the wording of the reply.
@@ -69,6 +74,11 @@ pub(crate) struct Span {
     kept_from_s: Option<f64>,
     /// Whether a history service has not replied in time, so that earlier data can be missing.
     pub(crate) incomplete: bool,
+    /// Reason why waveforms from before the stored ones are missing.
+    pub(crate) unread_waveforms: Option<String>,
+    /// Ranges from before the stored waveforms.
+    #[serde(skip)]
+    pub(crate) unkept: Vec<Unkept>,
     series: Vec<SpanOfSeries>,
 }
 
@@ -96,6 +106,21 @@ pub(crate) struct Earlier {
     place: usize,
     pub(crate) name: Name,
     pub(crate) query: SpanQuery,
+}
+
+/// A range from before the stored points of a waveform. The recording of ingest may contain its
+/// samples.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Unkept {
+    /// Index of the series in the span.
+    place: usize,
+    /// Index of the channel in the structure file.
+    pub(crate) sensor: usize,
+    /// Ends of the range (ns since the Unix epoch, UTC), both inclusive.
+    pub(crate) from_ns: i64,
+    pub(crate) to_ns: i64,
+    /// Maximum number of points, at least 1.
+    pub(crate) points: usize,
 }
 
 impl Request {
@@ -169,7 +194,14 @@ impl Request {
             from_ns,
             to_ns,
             points,
+            reads_recording: asked.recorded.unwrap_or(true),
         })
+    }
+
+    /// Returns `true` if the samples of a series from before the stored points are read. Without a
+    /// start, there would be no end of them.
+    fn reads(&self, kind: Kind) -> bool {
+        kind == Kind::Waveform && self.reads_recording && self.from_ns > i64::MIN
     }
 }
 
@@ -189,15 +221,14 @@ pub(crate) fn time(name: &str, text: Option<&String>, missing: i64) -> Result<i6
 pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
     let mut series = Vec::new();
     let mut earlier = Vec::new();
+    let mut unkept = Vec::new();
     let has_history = store.state.has(Service::History);
     for (place, name) in request.series.iter().enumerate() {
         let found = store.series(name);
         let first_ns = found.and_then(Series::first_ns);
         let mut points = request.points;
-        if has_history
-            && name.kind.is_in_history()
-            && request.from_ns < first_ns.unwrap_or(i64::MAX)
-        {
+        let is_earlier = request.from_ns < first_ns.unwrap_or(i64::MAX);
+        if is_earlier && has_history && name.kind.is_in_history() {
             let query = before(request, name.kind, first_ns);
             // The remaining points are for the data stored here.
             points = (points - query.points).max(1);
@@ -205,6 +236,18 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
                 place,
                 name,
                 query,
+            }));
+        } else if is_earlier && request.reads(name.kind) {
+            let query = before(request, name.kind, first_ns);
+            points = (points - query.points).max(1);
+            let mut sensors = store.about.drawing.sensors.iter();
+            let sensor = sensors.position(|sensor| sensor.channel == name.of);
+            unkept.extend(sensor.map(|sensor| Unkept {
+                place,
+                sensor,
+                from_ns: query.from_ns,
+                to_ns: query.to_ns,
+                points: query.points,
             }));
         }
         // A possible series without data yet is empty.
@@ -227,6 +270,8 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
         structure: store.about.name.clone(),
         kept_from_s: None,
         incomplete: false,
+        unread_waveforms: None,
+        unkept,
         series,
     };
     span.tell_kept_from();
@@ -304,13 +349,30 @@ impl Span {
         let rows = (0..rows.time_s.len())
             .map(row)
             .map(|(time_ns, values)| (time_ns.min(end_ns), values));
-        let mut table = Table::of(width, rows);
-        table.append(std::mem::take(&mut series.table));
-        series.data = columns(&table, width);
-        series.table = table;
+        let table = Table::of(width, rows);
         let kept_from_ns = answer.kept_from_s.map(|seconds| (seconds * 1e9) as i64);
-        series.kept_from_ns = series.kept_from_ns.into_iter().chain(kept_from_ns).min();
+        series.put_before(table, kept_from_ns);
         self.tell_kept_from();
+    }
+
+    /// Inserts the waveform of a range before the stored one.
+    pub(crate) fn put_recorded(&mut self, unkept: &Unkept, table: Table) {
+        if let Some(series) = self.series.get_mut(unkept.place) {
+            let first_ns = table.times_ns().next();
+            series.put_before(table, first_ns);
+            self.tell_kept_from();
+        }
+    }
+
+    /// Returns `true` if no series has a point.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.series.iter().all(|series| series.table.len() == 0)
+    }
+
+    /// Returns `true` if one of the waveforms has no point.
+    pub(crate) fn lacks(&self, unkept: &[Unkept]) -> bool {
+        let mut series = unkept.iter().filter_map(|one| self.series.get(one.place));
+        series.any(|series| series.table.len() == 0)
     }
 
     fn tell_kept_from(&mut self) {
@@ -354,6 +416,31 @@ impl Span {
             let _ = writeln!(text, "{},{}", written(time_ns), cells.join(","));
         }
         text
+    }
+}
+
+impl SpanOfSeries {
+    /// Inserts earlier rows. `kept_from_ns` is the time of the first one that is kept, in or before
+    /// the span.
+    fn put_before(&mut self, mut table: Table, kept_from_ns: Option<i64>) {
+        table.append(std::mem::take(&mut self.table));
+        self.data = columns(&table, self.kind.columns().len());
+        self.table = table;
+        self.kept_from_ns = self.kept_from_ns.into_iter().chain(kept_from_ns).min();
+    }
+}
+
+#[cfg(test)]
+impl Unkept {
+    /// Creates a range of the first series of a span.
+    pub(crate) fn new(sensor: usize, from_ns: i64, to_ns: i64, points: usize) -> Self {
+        Self {
+            place: 0,
+            sensor,
+            from_ns,
+            to_ns,
+            points,
+        }
     }
 }
 

@@ -43,6 +43,7 @@
 //! - `judgements`: years of a judged quantity
 //! - `reports`: reports of earthquakes
 //! - `stretch`, `samples`: samples of a range as a file
+//! - `recorded`: waveforms of a range from its samples
 //! - `entries`, `annotations`: what people enter
 //!
 //! Transport: `door` and `places` (connections and their limits), `request_lines` (well-formed
@@ -77,6 +78,7 @@ mod entries;
 mod history;
 mod judgements;
 mod log;
+mod recorded;
 mod reports;
 mod samples;
 mod stretch;

@@ -2,6 +2,7 @@
 
 use crate::api::Mistake;
 use crate::history::{Refused, time};
+use crate::server::Server;
 use crate::stretch::{MOST_SAMPLES, Stretch, Unreadable};
 use axum::http::StatusCode;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
@@ -14,6 +15,7 @@ use spandrel_record::{
 use spandrel_structure::DrawnSensor;
 use std::io::Cursor;
 use std::path::Path;
+use tokio::sync::OwnedSemaphorePermit;
 
 /// A request before validation.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -53,17 +55,13 @@ impl WantedSamples {
         let from_ns = time("from", asked.from.as_ref(), i64::MIN)?;
         let to_ns = time("to", asked.to.as_ref(), i64::MAX)?;
         let length_s = (to_ns as f64 - from_ns as f64) / 1e9;
-        let longest_s = MOST_SAMPLES as f64 / (channels.max(1) as f64 * rate_hz);
         if length_s <= 0.0 {
             return refuse(
                 "from is not before to".to_owned(),
                 "from must come before to".to_owned(),
             );
         }
-        if length_s > longest_s {
-            let what = format!("the range is {length_s:.0} s long");
-            return refuse(what, too_long(channels, longest_s));
-        }
+        check_length(from_ns, to_ns, channels, rate_hz)?;
         Ok(Self {
             from_ns,
             to_ns,
@@ -113,9 +111,61 @@ impl WantedSamples {
     }
 }
 
-/// States the maximum length of a range.
-fn too_long(channels: usize, longest_s: f64) -> String {
-    format!("must be at most {longest_s:.0} s, for {MOST_SAMPLES} samples of {channels} channels")
+/// Checks that a range (ns) has at most [`MOST_SAMPLES`] samples of `channels` channels at `rate_hz`
+/// (Hz).
+pub(crate) fn check_length(
+    from_ns: i64,
+    to_ns: i64,
+    channels: usize,
+    rate_hz: f64,
+) -> Result<(), Refused> {
+    let length_s = (to_ns as f64 - from_ns as f64) / 1e9;
+    let longest_s = MOST_SAMPLES as f64 / (channels.max(1) as f64 * rate_hz);
+    if length_s <= longest_s {
+        return Ok(());
+    }
+    Err(Refused {
+        what: format!("the range is {length_s:.0} s long"),
+        allowed: format!(
+            "must be at most {longest_s:.0} s, for {MOST_SAMPLES} samples of {channels} channels"
+        ),
+    })
+}
+
+/// Reads the frames of a stretch. Returns them with the only place for reading samples, which is
+/// free again once it is dropped.
+///
+/// # Errors
+/// Another request reads samples, ingest does not answer, the recording does not match the
+/// structure file, or there are no samples.
+pub(crate) async fn read_range(
+    server: &Server,
+    structure: &str,
+    stretch: Stretch,
+) -> Result<(OwnedSemaphorePermit, Stretch), Mistake> {
+    let unavailable =
+        |what: &str, allowed: &str| Mistake::new(StatusCode::SERVICE_UNAVAILABLE, what, allowed);
+    let place = server.admit_export().ok_or_else(|| {
+        unavailable(
+            "another export of samples is running",
+            "try again in a few seconds",
+        )
+    })?;
+    let stretch = server.read_stretch(structure, stretch).await?;
+    let stretch = stretch.ok_or_else(|| {
+        unavailable(
+            "the service ingest does not answer",
+            "must run for this structure; try again",
+        )
+    })?;
+    if stretch.times_ns.is_empty() {
+        return Err(Mistake::new(
+            StatusCode::NOT_FOUND,
+            "no samples in this range",
+            "must be a range that ingest has recorded and still keeps",
+        ));
+    }
+    Ok((place, stretch))
 }
 
 /// Returns the start of a range for the name of a file: a date, or seconds of a record without

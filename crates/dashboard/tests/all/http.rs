@@ -4,8 +4,9 @@ use futures_util::StreamExt;
 use serde_json::{Value, json};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Annotation, AnnotationEffect, AnnotationKind, Bus,
-    BusConfig, CredibleInterval, DisplayPublisher, Event, EventKind, HistoryRows, HistorySpan,
-    Keys, LatestPublisher, LossDisplay, Name, ParameterDisplay, time_ns,
+    BusConfig, CredibleInterval, DisplayPublisher, Event, EventKind, FrameBlock, Header,
+    HistoryRows, HistorySpan, Keep, Keys, LatestPublisher, LossDisplay, Name, NumberedStream,
+    ParameterDisplay, StreamState, time_ns,
 };
 use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
 use spandrel_service::{EventPublisher, Monitored, Service as _, ServiceInstance};
@@ -352,6 +353,79 @@ async fn history_is_served_as_json_and_csv() {
     );
     let lines: Vec<&str> = csv.body.lines().collect();
     assert_eq!((lines.len(), &lines[1][..7]), (4, "3,0.97,"));
+    site.end().await;
+}
+
+/// Regression test: waveforms from before the start of the page were empty, without a reason.
+#[tokio::test(flavor = "multi_thread")]
+async fn waveforms_from_before_the_start_are_those_of_the_recording() {
+    const CHANNELS: u16 = 6;
+    let site = Site::start().await;
+    let path = "/api/structures/demo/history?series=waveform/floor-1&from=0.5&to=1.5&points=10";
+    let span = site.get(path).await.json();
+    assert_eq!(span["series"][0]["data"], json!([[], [], []]));
+    assert_eq!(
+        span["unread_waveforms"],
+        "the service ingest does not answer"
+    );
+    site.get(&format!("{path}&format=csv"))
+        .await
+        .expect_refused(503, "the service ingest does not answer");
+
+    let stream = NumberedStream {
+        key: site.keys.frames(),
+        buffer_key: site.keys.recording(),
+        source: "ingest".to_owned(),
+        epoch: 1,
+        first: 0,
+        state: StreamState::Running,
+        keep: Keep::last(1_000),
+    };
+    let frames = site.bus.publish_numbered(stream).await.unwrap();
+    let value = |frame: u32, channel: u16| f64::from(frame) + 1e3 * f64::from(channel);
+    let of_frame = |frame| (0..CHANNELS).map(move |channel| value(frame, channel));
+    let block = FrameBlock {
+        header: Header {
+            source: "ingest".to_owned(),
+            epoch: 1,
+            sequence: 0,
+            time_ns: 0,
+        },
+        t0_ns: 0,
+        sampling_rate_hz: 100.0,
+        channels: CHANNELS,
+        values: (0..200).flat_map(of_frame).collect(),
+        state: StreamState::Running,
+    };
+    frames.put(block).await.unwrap();
+    let span = site.get(path).await.json();
+    assert_eq!(span["unread_waveforms"], json!(null));
+    let data = &span["series"][0]["data"];
+    // Ten samples in each interval. Those of floor-1 are the second channel.
+    assert_eq!(data[0].as_array().unwrap().len(), 10);
+    assert_eq!(
+        (&data[0][1], &data[1][1], &data[2][1]),
+        (&json!(0.6), &json!(1060.0), &json!(1069.0))
+    );
+    assert_eq!(span["kept_from_s"], 0.5);
+    let csv = site.get(&format!("{path}&format=csv")).await;
+    let lines: Vec<&str> = csv.body.lines().collect();
+    assert_eq!((lines.len(), lines[2]), (11, "0.6,1060,1069"));
+    // The page reads the samples itself.
+    let span = site.get(&format!("{path}&recorded=false")).await.json();
+    assert_eq!(span["series"][0]["data"], json!([[], [], []]));
+
+    let at = |from: u32, to: u32| {
+        format!(
+            "/api/structures/demo/history?series=waveform/floor-1&from={from}&to={to}&format=csv"
+        )
+    };
+    site.get(&at(100, 200))
+        .await
+        .expect_refused(404, "no samples in this range");
+    site.get(&at(0, 10_000))
+        .await
+        .expect_refused(400, "the range is 10000 s long");
     site.end().await;
 }
 
