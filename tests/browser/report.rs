@@ -62,6 +62,31 @@ async fn the_structures_of_a_report_are_found_and_chosen_together() {
     assert_eq!(browser.evaluate(shown).await, 11, "tower-2, tower-20 to 29");
     browser.evaluate(&press(0)).await;
     assert_eq!(browser.evaluate(&count).await, 11);
+    // The search is in the address, also beside chosen structures and a period.
+    let address = "location.hash";
+    assert_eq!(
+        browser.evaluate(address).await,
+        "#/report?find=tower-2",
+        "the address after a search"
+    );
+    let link = "location.hash = '#/report?structures=tower-1&span=60&find=tower-30'";
+    browser.evaluate(link).await;
+    browser
+        .wait(
+            "the search of the link",
+            "document.querySelector('.report[data-state=complete]') && \
+             document.querySelector('.report-form .search')?.value === 'tower-30'",
+        )
+        .await;
+    assert_eq!(browser.evaluate(shown).await, 1);
+    assert_eq!(browser.evaluate(chosen).await, json!(["tower-1"]));
+    let cleared = "(() => { const field = document.querySelector('.report-form .search'); \
+                   field.value = ''; field.dispatchEvent(new Event('input')); })()";
+    browser.evaluate(cleared).await;
+    assert_eq!(
+        browser.evaluate(address).await,
+        "#/report?structures=tower-1&span=60"
+    );
     assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 

@@ -29,10 +29,14 @@ export function judged(structure, quantity) {
   return address(structure, "lasting", new URLSearchParams({ quantity }));
 }
 
-/** Returns the address of the report of some structures over a period, or over the newest `length_s`. */
-export function reportOf(structures, { from_s, to_s, length_s }) {
+/**
+ * Returns the address of the report of some structures over a period, or over the newest `length_s`,
+ * with a search among all structures.
+ */
+export function reportOf(structures, { from_s, to_s, length_s, find }) {
   const period = length_s ? { span: length_s } : { from: from_s.toFixed(DECIMALS), to: to_s.toFixed(DECIMALS) };
   const query = new URLSearchParams({ structures: structures.join(","), ...period });
+  if (find) query.set("find", find);
   return `#/report?${query}`;
 }
 

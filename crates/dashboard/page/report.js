@@ -8,7 +8,7 @@ import { t } from "./language.js";
 import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
 import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, reportOf, seenWords, setSentence, spanOf, stateOf, time, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, time, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -32,6 +32,8 @@ export class ReportPage {
 
   constructor(connection, parameters) {
     connection.listen(null);
+    this.parameters = parameters;
+    this.find = parameters.get("find") ?? "";
     this.wanted = (parameters.get("structures") ?? "").split(",").filter(Boolean);
     this.period = spanOf(parameters, AROUND_S);
     this.list = h("div", { class: "choices" });
@@ -114,7 +116,14 @@ export class ReportPage {
     const choices = names.map(choice);
     this.list.replaceChildren(...choices);
     // Only many structures need a search and buttons that check all of the found ones.
-    const search = searchField(names.length, t("find-a-structure"), () => names.forEach((name, index) => (choices[index].hidden = !search.finds(name))));
+    const show = () => names.forEach((name, index) => (choices[index].hidden = !search.finds(name)));
+    const changed = () => {
+      this.find = search.text();
+      rememberFilters("report", { ...Object.fromEntries(this.parameters), find: this.find });
+      show();
+    };
+    const search = searchField(names.length, t("find-a-structure"), changed, this.find);
+    show();
     const check = (isChecked) => choices.filter(({ hidden }) => !hidden).forEach((of) => (of.querySelector("input").checked = isChecked));
     const button = (text, isChecked) => h("button", { type: "button", class: "small", onclick: () => check(isChecked) }, text);
     if (search.element) this.finder.replaceChildren(search.element, h("span", { class: "ranges", role: "group", "aria-label": t("choose-structures") }, button(t("choose-all"), true), button(t("choose-none"), false)));
@@ -140,7 +149,7 @@ export class ReportPage {
   #choose(from_s, to_s) {
     const names = [...this.list.querySelectorAll("input:checked")].map(({ value }) => value);
     if (names.length === 0) return setText(this.told, t("choose-at-least-one-structure"));
-    location.hash = reportOf(names, { from_s, to_s });
+    location.hash = reportOf(names, { from_s, to_s, find: this.find });
   }
 }
 
