@@ -134,7 +134,8 @@ impl Spectra {
 
     fn publish(&mut self, number: u64, time_ns: i64, out: &mut Vec<SpectrumDisplay>) {
         let (averaged, count) = (self.averaged, self.groups.len());
-        let is_recent = |end: u64| end + averaged > number;
+        // The clock of a node may have been set back, which repeats numbers.
+        let is_recent = |end: u64| end <= number && end + averaged > number;
         let step_hz = self.sampling_rate_hz / self.transform.window_len() as f64;
         let middle = |group: &Range<usize>| 0.5 * (group.start + group.end - 1) as f64 * step_hz;
         let frequencies: Vec<f32> = self.groups.iter().map(|one| middle(one) as f32).collect();
@@ -209,6 +210,22 @@ mod tests {
         Name::new(text).unwrap()
     }
 
+    fn block(sequence: u64, values: &[f64]) -> FrameBlock {
+        FrameBlock {
+            header: Header {
+                source: "ingest".into(),
+                epoch: 1,
+                sequence,
+                time_ns: 0,
+            },
+            t0_ns: 0,
+            sampling_rate_hz: RATE_HZ,
+            channels: 1,
+            values: values.to_vec(),
+            state: StreamState::Running,
+        }
+    }
+
     /// Returns the messages for samples of a single channel, in blocks of `size`.
     fn messages(samples: &[f64], size: usize) -> Vec<SpectrumDisplay> {
         let nodes = vec![NodeChannels {
@@ -218,20 +235,7 @@ mod tests {
         let mut spectra = Spectra::new(name("tower"), nodes, RATE_HZ);
         let mut out = Vec::new();
         for (k, values) in samples.chunks(size).enumerate() {
-            let block = FrameBlock {
-                header: Header {
-                    source: "ingest".into(),
-                    epoch: 1,
-                    sequence: (k * size) as u64,
-                    time_ns: 0,
-                },
-                t0_ns: 0,
-                sampling_rate_hz: RATE_HZ,
-                channels: 1,
-                values: values.to_vec(),
-                state: StreamState::Running,
-            };
-            spectra.handle(&block, &mut out);
+            spectra.handle(&block((k * size) as u64, values), &mut out);
         }
         out.iter().for_each(|message| message.check().unwrap());
         out
@@ -343,6 +347,22 @@ mod tests {
             (last.channels[0].windows, last.channels[0].density.len()),
             (0, 0)
         );
+    }
+
+    #[test]
+    fn windows_from_before_a_clock_was_set_back_are_left_out() {
+        let nodes = vec![NodeChannels {
+            node: name("roof"),
+            channels: vec![name("roof-x")],
+        }];
+        let mut spectra = Spectra::new(name("tower"), nodes, RATE_HZ);
+        let mut windows = Vec::new();
+        for (sequence, count) in [(100_000, 6000), (50_000, 3000)] {
+            let mut out = Vec::new();
+            spectra.handle(&block(sequence, &noise(count)), &mut out);
+            windows.push(out.last().unwrap().channels[0].windows);
+        }
+        assert_eq!(windows, [4, 1]);
     }
 
     #[test]
