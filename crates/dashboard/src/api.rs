@@ -334,8 +334,8 @@ async fn read_history(
 
 /// Returns `true` if a table is not written, because waveforms could not be read.
 ///
-/// If ingest is busy, another attempt gives the whole table. Otherwise, the table contains what there
-/// is, unless it would not show that waveforms are missing.
+/// If ingest is busy, another attempt gives the whole table. Otherwise, the table contains what
+/// there is, unless it would not show that waveforms are missing.
 fn refuses(why: StatusCode, source: &Source, span: &Span, unkept: &[Unkept]) -> bool {
     match why {
         StatusCode::SERVICE_UNAVAILABLE if source.has_ingest => true,

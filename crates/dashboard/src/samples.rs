@@ -111,8 +111,8 @@ impl WantedSamples {
     }
 }
 
-/// Checks that a range (ns) has at most [`MOST_SAMPLES`] samples of `channels` channels at `rate_hz`
-/// (Hz).
+/// Checks that a range (ns) has at most [`MOST_SAMPLES`] samples of `channels` channels at
+/// `rate_hz` (Hz).
 pub(crate) fn check_length(
     from_ns: i64,
     to_ns: i64,
