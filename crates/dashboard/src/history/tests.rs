@@ -1,5 +1,7 @@
 use super::*;
-use crate::testing::{demo, hear};
+use crate::testing::{demo, hear, name};
+use spandrel_bus::{ChannelWaveform, WaveformDisplay};
+use spandrel_listener::Input;
 
 const SECOND: i64 = 1_000_000_000;
 
@@ -201,7 +203,7 @@ fn earlier_values_are_queried_from_the_history_and_prepended() {
     );
     let column = |value: f64| vec![value; 2];
     let answer = HistorySpan {
-        structure: crate::testing::name("demo"),
+        structure: name("demo"),
         kind: "parameter".to_owned(),
         name: "storey-1".to_owned(),
         resolution_s: Some(60),
@@ -240,6 +242,42 @@ fn the_history_is_not_queried_for_series_that_it_does_not_store() {
     assert_eq!(span.series.len(), 4);
     let kinds: Vec<&str> = earlier.iter().map(|one| one.query.kind.as_str()).collect();
     assert_eq!(kinds, ["loss"]);
+}
+
+#[test]
+fn waveforms_from_before_the_stored_ones_are_read_from_the_recording() {
+    let mut store = demo();
+    let unkept = |store: &Store, from: Option<&str>, recorded| {
+        let asked = Asked {
+            series: Some("waveform/floor-1".into()),
+            from: from.map(str::to_owned),
+            to: Some("200".into()),
+            recorded,
+            ..Asked::default()
+        };
+        read(store, &Request::new(&asked, store).unwrap()).0.unkept
+    };
+    let all = Unkept::new(1, 0, 200 * SECOND, POINTS);
+    assert_eq!(unkept(&store, Some("0"), None), [all]);
+    store.handle(Input::Waveform(WaveformDisplay {
+        structure: name("demo"),
+        node: name("floor-1"),
+        time_ns: 100 * SECOND,
+        frames: 100,
+        bucket_s: 0.1,
+        channels: vec![ChannelWaveform {
+            channel: name("floor-1"),
+            missing: 0,
+            level: None,
+            extremes: vec![Some([-1.0, 1.0]); 10],
+        }],
+    }));
+    // The middle of the first bucket is at 100.05 s, so that half of the points are for the rest.
+    let before = Unkept::new(1, 0, 100 * SECOND + SECOND / 20 - 1, 501);
+    assert_eq!(unkept(&store, Some("0"), None), [before]);
+    assert_eq!(unkept(&store, Some("150"), None), [], "all of it is here");
+    assert_eq!(unkept(&store, Some("0"), Some(false)), []);
+    assert_eq!(unkept(&store, None, None), [], "a range without a start");
 }
 
 /// Regression test: the loss begins after the reference was learnt, and hid the estimates before
