@@ -250,6 +250,8 @@ conditions![
     "noise-fivefold-loss" "Noise of all channels five times the file; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; lose(b, 2, 0.10) };
     "ground-noise-fivefold" "Noise of the ground channel five times the file", DURATION_S, WRONG, |b, s, seed| b.ground_noise = 0.025;
     "ground-noise-fivefold-loss" "Noise of the ground channel five times the file; storey 2 loses 10 %", DURATION_S, FOUND, |b, s, seed| { b.ground_noise = 0.025; lose(b, 2, 0.10) };
+    "noise-fivefold-stated" "Noise of all channels five times as large, as the file states", DURATION_S, Expected::RightModel, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; s.noise_std = 0.025; s.ground_noise_std = 0.025 };
+    "ground-noise-fivefold-stated" "Noise of the ground channel five times as large, as the file states", DURATION_S, Expected::RightModel, |b, s, seed| { b.ground_noise = 0.025; s.ground_noise_std = 0.025 };
     "noise-fivefold-stated-loss" "Noise of all channels five times as large, as the file states; storey 2 loses 10 %", DURATION_S, REPORTED, |b, s, seed| { b.ground_noise = 0.025; b.floor_noise = 0.025; s.noise_std = 0.025; s.ground_noise_std = 0.025; lose(b, 2, 0.10) };
     "ground-noise-fivefold-stated-loss" "Noise of the ground channel five times as large, as the file states; storey 2 loses 10 %", DURATION_S, REPORTED, |b, s, seed| { b.ground_noise = 0.025; s.ground_noise_std = 0.025; lose(b, 2, 0.10) };
     "weak-motion" "A tenth of the motion", DURATION_S, WRONG, |b, s, seed| b.ground.std = 0.01;
