@@ -108,6 +108,34 @@ pub struct Annotation {
 }
 
 impl Annotation {
+    /// Creates the annotation with which a person acknowledges the lasting loss of a quantity.
+    ///
+    /// `time_ns` is the present time, ns since the Unix epoch, UTC. An annotation always has a
+    /// text, so that an empty note becomes `acknowledged`.
+    #[must_use]
+    pub fn acknowledging(
+        structure: Name,
+        quantity: Name,
+        time_ns: i64,
+        who: String,
+        note: String,
+    ) -> Self {
+        Self {
+            structure,
+            quantity: Some(quantity),
+            time_ns,
+            from_ns: time_ns,
+            to_ns: None,
+            kind: AnnotationKind::Other,
+            effect: AnnotationEffect::Seen,
+            who,
+            text: match note.trim().is_empty() {
+                true => "acknowledged".to_owned(),
+                false => note,
+            },
+        }
+    }
+
     /// Returns `true` if the annotation concerns a quantity.
     #[must_use]
     pub fn covers(&self, quantity: &Name) -> bool {
@@ -220,6 +248,21 @@ mod tests {
             };
             assert!(wrong.check().is_err(), "{wrong:?}");
         }
+    }
+
+    #[test]
+    fn an_acknowledgement_without_a_note_is_valid() {
+        let (structure, pier) = (Name::new("bridge").unwrap(), Name::new("pier").unwrap());
+        let acknowledging = |note: &str| {
+            let (who, note) = ("ada".to_owned(), note.to_owned());
+            Annotation::acknowledging(structure.clone(), pier.clone(), 100, who, note)
+        };
+        assert_eq!(acknowledging(" ").check(), Ok(()));
+        assert_eq!(acknowledging("").why(), "ada: acknowledged");
+        let told = acknowledging("on my way");
+        assert_eq!(told.why(), "ada: on my way");
+        assert_eq!(told.effect, AnnotationEffect::Seen);
+        assert!(told.covers(&pier));
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    CredibleInterval, Format, Malformed, Message, check_finite, check_label, check_range,
-    check_text,
+    AlertState, CredibleInterval, Format, Malformed, Message, check_finite, check_label,
+    check_range, check_text,
 };
 use crate::name::Name;
 
@@ -192,6 +192,19 @@ impl JudgementDisplay {
             None => self.state.as_str(),
         }
     }
+
+    /// Returns the state of the lasting loss as an alert: raised, or acknowledged once a person has
+    /// seen it. `None` if no loss was found.
+    ///
+    /// A lasting loss has no other states: it is over when a new reference starts.
+    #[must_use]
+    pub fn alert_state(&self) -> Option<AlertState> {
+        self.change.filter(|change| change.kind.is_alarm())?;
+        Some(match self.seen {
+            Some(_) => AlertState::Acknowledged,
+            None => AlertState::Raised,
+        })
+    }
 }
 
 impl Message for JudgementDisplay {
@@ -348,6 +361,21 @@ mod tests {
             ..display()
         };
         assert_eq!(sound.word(), "judged");
+    }
+
+    #[test]
+    fn a_loss_is_raised_until_it_is_seen_and_a_gain_is_no_alert() {
+        assert_eq!(display().alert_state(), Some(AlertState::Acknowledged));
+        let unseen = JudgementDisplay {
+            seen: None,
+            ..display()
+        };
+        assert_eq!(unseen.alert_state(), Some(AlertState::Raised));
+        let mut other = unseen.clone();
+        other.change.as_mut().unwrap().kind = ChangeKind::Stiffer;
+        assert_eq!(other.alert_state(), None);
+        other.change = None;
+        assert_eq!(other.alert_state(), None);
     }
 
     #[test]
