@@ -2,6 +2,7 @@
 //!
 //! - `sight` decides when a blind or degraded structure is worth a notice.
 //! - `clocks` decides when the wrong clock of a node is worth a notice.
+//! - `lasting` decides when a lasting change is worth a notice.
 //! - `origin` distinguishes measured samples from replayed and simulated ones.
 //! - `content` composes a notice from a change and its circumstances, with `advice`.
 //! - `outbox` selects the receivers of each notice, drops duplicates, and schedules each notice and
@@ -16,6 +17,7 @@ mod advice;
 mod clocks;
 mod content;
 mod error;
+mod lasting;
 mod memory;
 mod message;
 mod muting;

@@ -299,7 +299,8 @@ impl Outbox {
         is_news
     }
 
-    /// Ends the lasting change of a quantity, which is no longer reported. It needs no notice.
+    /// Ends the lasting change of a quantity, which is no longer reported or which somebody has
+    /// seen. It needs no notice.
     pub(crate) fn forget_change(&mut self, structure: &Name, quantity: &Name) {
         let of = (structure.clone(), Some(quantity.clone()), Concern::Lasting);
         if self.last.remove(&of).is_some() {

@@ -1,8 +1,9 @@
 //! Connects the outbox to the bus and to the receivers.
 
 use crate::clocks::{ClockChange, Clocks};
-use crate::content::{Earthquake, Facts, Report, Scene, alert_key, iso_8601, judgement_key};
+use crate::content::{Earthquake, Facts, Report, Scene, alert_key, iso_8601};
 use crate::error::NotifyError;
+use crate::lasting::LastingChanges;
 use crate::memory::{Memory, Recalled, Situation};
 use crate::muting::Change;
 use crate::origin::{Origins, Signs};
@@ -12,7 +13,7 @@ use crate::settings::NotifySettings;
 use crate::sight::Sight;
 use spandrel_bus::{
     AlertMessage, BoxedFuture, Event, EventKind, FitVerdict, JudgementDisplay, Keys, LiveToken,
-    LiveWatch, MAX_CHANNELS, Maintenance, Name, Service, Subscription, parse_key, reported_pace,
+    LiveWatch, Maintenance, Name, Service, Subscription, parse_key, reported_pace,
 };
 use spandrel_listener::{DisplayTopic, Input, Listener, Needs, StructureState};
 use spandrel_service::{
@@ -123,8 +124,7 @@ struct Source {
     fresh: VecDeque<(AlertMessage, Duration)>,
     /// Lasting changes whose notices are not composed yet, with the time for it.
     changes: VecDeque<(JudgementDisplay, Duration)>,
-    /// Key of the last change of each quantity.
-    judged: BTreeMap<Name, String>,
+    judged: LastingChanges,
     /// The latest earthquake since the start of the service.
     earthquake: Option<Earthquake>,
     /// Reports of earthquakes whose notices are not composed yet. The queue of the listener bounds
@@ -209,7 +209,7 @@ impl NotifyService {
                     origins: situation.origins,
                     fresh: fresh.collect(),
                     changes: VecDeque::new(),
-                    judged: BTreeMap::new(),
+                    judged: LastingChanges::default(),
                     earthquake: None,
                     reported: Vec::new(),
                     clocks: Clocks::new(
@@ -492,7 +492,12 @@ impl Source {
                     let known = self.state.alerts.get(&alert.parameter);
                     told.standing.push((alert.clone(), known != Some(alert)));
                 }
-                Input::Judgement(display) => self.take_judgement(display, outbox, now),
+                Input::Judgement(display) => {
+                    if self.judged.take(display, outbox) {
+                        let due = now + SETTLES_AFTER;
+                        self.changes.push_back((display.clone(), due));
+                    }
+                }
                 Input::Monitoring(display) => self.sight.take(display.clone(), now),
                 Input::Event(event) if event.kind == EventKind::Earthquake => {
                     self.earthquake = Some(Earthquake {
@@ -517,27 +522,6 @@ impl Source {
         }
         self.clock_changes.extend(self.clocks.look(now, wall_ns));
         self.catch_up(&told, outbox, now);
-    }
-
-    /// Queues the lasting change of a quantity, unless it is known. The same judgement arrives
-    /// every few seconds.
-    fn take_judgement(&mut self, display: &JudgementDisplay, outbox: &mut Outbox, now: Duration) {
-        let quantity = &display.quantity;
-        if display.change.is_none() {
-            self.judged.remove(quantity);
-            outbox.forget_change(&display.structure, quantity);
-            return;
-        }
-        let key = judgement_key(display);
-        let has_room = self.judged.len() < MAX_CHANNELS || self.judged.contains_key(quantity);
-        if has_room && self.judged.get(quantity) != Some(&key) {
-            self.judged.insert(quantity.clone(), key);
-            if display.seen.is_some() {
-                return; // somebody knows it already
-            }
-            self.changes
-                .push_back((display.clone(), now + SETTLES_AFTER));
-        }
     }
 
     /// Queues a change of an alert until its notice can be composed.
