@@ -7,6 +7,7 @@ use crate::gate::{SessionEnd, Visitor};
 use crate::health::{self, LIVE_PATH, READY_PATH};
 use crate::history::{self, Asked, Format, Refused, Span, Unkept};
 use crate::judgements;
+use crate::lasting_alert::{LastingAlert, check_loss_acknowledgeable, lasting_alerts};
 use crate::live;
 use crate::log::{self, FromHistory, WantedLog};
 use crate::metrics::{self, metrics};
@@ -32,7 +33,7 @@ use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Extension, Json, Router};
 use serde::Deserialize;
 use serde_json::json;
-use spandrel_bus::{Acknowledgement, AlertState, Name, Service};
+use spandrel_bus::{Acknowledgement, AlertState, Annotation, Name, Service};
 use spandrel_service::{Audit, Refused as Audited};
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
@@ -85,6 +86,11 @@ fn routes() -> Vec<(&'static str, Method, MethodRouter<Arc<Server>>)> {
             "/api/structures/{structure}/alerts/{parameter}/acknowledge",
             Method::POST,
             post(acknowledge),
+        ),
+        (
+            "/api/structures/{structure}/judgements/{quantity}/acknowledge",
+            Method::POST,
+            post(acknowledge_loss),
         ),
         (
             "/api/structures/{structure}/annotations",
@@ -486,6 +492,12 @@ async fn alerts(
                 .filter(fits)
                 .map(|alert| json!(alert)),
         );
+        let loss_fits = |loss: &LastingAlert<'_>| {
+            let state = filter.state;
+            state.is_none_or(|state| loss.state == state)
+        };
+        let losses = lasting_alerts(&store).filter(loss_fits);
+        standing.extend(losses.map(|loss| json!(loss)));
         changed.extend(
             changes(&store)
                 .filter(fits)
@@ -553,10 +565,50 @@ async fn annotate(
     noted: Result<Json<Noted>, JsonRejection>,
 ) -> Result<Response, Mistake> {
     let Json(noted) = noted?;
-    let mut annotation = noted.annotation(&*find(&server, &name)?, now_ns())?;
-    annotation.who = signed(annotation.who, visitor.as_ref());
-    check_certificate(&server, address, Audited::Annotation, &annotation.who)?;
-    let has_judge = find(&server, &name)?.state.has(Service::Judge);
+    let annotation = noted.annotation(&*find(&server, &name)?, now_ns())?;
+    let kept = send_annotation(&server, address, visitor.as_ref(), annotation).await?;
+    let status = match kept {
+        true => StatusCode::OK,
+        false => StatusCode::ACCEPTED,
+    };
+    Ok((status, Json(json!({"sent": true, "kept": kept}))).into_response())
+}
+
+async fn acknowledge_loss(
+    State(server): Shared,
+    Path((structure, quantity)): Path<(String, String)>,
+    ConnectInfo(address): ConnectInfo<ClientAddress>,
+    visitor: Option<Extension<Visitor>>,
+    seen: Result<Json<Seen>, JsonRejection>,
+) -> Result<Response, Mistake> {
+    let Json(Seen { who, note }) = seen?;
+    let who = person(&who, "must name the person who has seen the loss")?;
+    let note = text("note", &note)?;
+    let quantity = check_loss_acknowledgeable(&*find(&server, &structure)?, &quantity)?;
+    let allowed = "must be lower-case letters, digits and hyphens";
+    let structure = Name::new(&*structure).map_err(|_| wrong("invalid name", allowed))?;
+    let annotation = Annotation::acknowledging(structure, quantity, now_ns(), who, note);
+    let kept = send_annotation(&server, address, visitor.as_ref(), annotation).await?;
+    let (status, state) = match kept {
+        true => (StatusCode::OK, Some(AlertState::Acknowledged)),
+        false => (StatusCode::ACCEPTED, None),
+    };
+    Ok((status, Json(json!({"sent": true, "state": state}))).into_response())
+}
+
+/// Publishes what a person notes. Returns whether the service `judge` confirms in time that it has
+/// kept it.
+async fn send_annotation(
+    server: &Server,
+    address: ClientAddress,
+    visitor: Option<&Extension<Visitor>>,
+    mut annotation: Annotation,
+) -> Result<bool, Mistake> {
+    annotation.who = signed(annotation.who, visitor);
+    check_certificate(server, address, Audited::Annotation, &annotation.who)?;
+    let has_judge = find(server, annotation.structure.as_str())?
+        .state
+        .has(Service::Judge);
     if !has_judge {
         return Err(Mistake::new(
             StatusCode::SERVICE_UNAVAILABLE,
@@ -564,7 +616,7 @@ async fn annotate(
             "try again once it runs",
         ));
     }
-    let visitor = visitor.as_ref().map(|Extension(visitor)| visitor);
+    let visitor = visitor.map(|Extension(visitor)| visitor);
     let noted = server.gate().note(visitor, address.0, server.since_start());
     if let Err(pause) = noted {
         let what = "too many annotations within an hour";
@@ -573,18 +625,13 @@ async fn annotate(
         let allowed = format!("must wait for {} s", pause.as_secs().max(1));
         return Err(Mistake::new(StatusCode::TOO_MANY_REQUESTS, what, allowed));
     }
-    let kept = server.annotate(&annotation).await.map_err(|error| {
+    server.annotate(&annotation).await.map_err(|error| {
         Mistake::new(
             StatusCode::SERVICE_UNAVAILABLE,
             error.to_string(),
             "try again",
         )
-    })?;
-    let status = match kept {
-        true => StatusCode::OK,
-        false => StatusCode::ACCEPTED,
-    };
-    Ok((status, Json(json!({"sent": true, "kept": kept}))).into_response())
+    })
 }
 
 /// Rejects a message of a person if the router would drop it. A role that may acknowledge may also

@@ -3,7 +3,7 @@
 
 use crate::overview::Level;
 use crate::store::Store;
-use spandrel_bus::{JudgementDisplay, JudgementState, ModeState};
+use spandrel_bus::{AlertState, JudgementDisplay, JudgementState, ModeState};
 
 /// Returns the level and the sentence of a structure without a model that gives no concern.
 pub(crate) fn attention(store: &Store) -> (Level, String) {
@@ -39,6 +39,23 @@ pub(crate) fn attention(store: &Store) -> (Level, String) {
         ),
     };
     (level, sentence.to_owned())
+}
+
+/// Returns the sentence of the largest lasting loss that nobody has acknowledged.
+pub(crate) fn alarm(store: &Store) -> Option<String> {
+    let raised = lasting_losses(store, AlertState::Raised);
+    let loss = |judgement: &JudgementDisplay| judgement.change.map_or(0.0, |change| change.loss);
+    let largest = raised.max_by(|a, b| loss(a).total_cmp(&loss(b)))?;
+    Some(lasting(store, largest))
+}
+
+/// Returns the judgements whose lasting loss is an alert in this state.
+pub(crate) fn lasting_losses(
+    store: &Store,
+    state: AlertState,
+) -> impl Iterator<Item = &JudgementDisplay> {
+    let judgements = store.state.judgements.values();
+    judgements.filter(move |judgement| judgement.alert_state() == Some(state))
 }
 
 /// Returns the lasting changes that alerts do not report. Without a model, also the natural
@@ -97,7 +114,9 @@ fn lasting(store: &Store, judgement: &JudgementDisplay) -> String {
 mod tests {
     use super::*;
     use crate::overview::overview;
-    use crate::testing::{at, demo_with_air, hear, lasting_loss, mode, present, sensors_only};
+    use crate::testing::{
+        alert, at, demo_with_air, hear, lasting_loss, mode, present, sensors_only,
+    };
     use spandrel_bus::{
         ChangeSeen, Header, JudgementDisplay, ModeDisplay, ModeEstimate, Name, Progress, Service,
         ShapeValue,
@@ -193,7 +212,15 @@ mod tests {
         hear(&mut store, "storey-2", 580_000_000_000, 0.95, 0.0);
         let changed = lasting_loss("storey-2");
         store.handle(Input::Judgement(changed));
-        assert_eq!(found(&store), (Level::Warning, told("storey-2", 2)));
+        assert_eq!(found(&store), (Level::Alarm, told("storey-2", 2)));
+        let overview = overview(&store);
+        assert_eq!((overview.raised, &*overview.also), (1, ""));
+        // The alert of a rule comes first, and the lasting loss remains visible.
+        let raised = alert("storey-2", 580_000_000_000, AlertState::Raised);
+        store.handle(Input::Alert(raised.clone()));
+        let overview = crate::overview::overview(&store);
+        assert_eq!((overview.raised, overview.sentence), (2, raised.why));
+        assert_eq!(overview.also, told("storey-2", 2));
     }
 
     #[test]
@@ -202,7 +229,7 @@ mod tests {
         store.handle(Input::Mode(Box::new(mode("sway-1", 600))));
         let changed = lasting_loss("sway-1");
         store.handle(Input::Judgement(changed.clone()));
-        assert_eq!(found(&store), (Level::Warning, told("sway-1", 0)));
+        assert_eq!(found(&store), (Level::Alarm, told("sway-1", 0)));
         let seen = ChangeSeen {
             who: "Ada".to_owned(),
             text: "new asphalt".to_owned(),
@@ -213,6 +240,7 @@ mod tests {
             ..changed.clone()
         }));
         assert_eq!(found(&store), (Level::Notice, told("sway-1", 0)));
+        assert_eq!(overview(&store).acknowledged, 1);
         store.handle(Input::Judgement(JudgementDisplay {
             change: None,
             state: JudgementState::Judged,

@@ -35,6 +35,7 @@
 //! - `levels`: samples of the last minute
 //! - `conditions`: temperatures and the like
 //! - `view`: data for the page
+//! - `lasting_alert`: lasting losses as alerts
 //!
 //! Logic of the past, and of what people enter:
 //!
@@ -68,6 +69,7 @@ mod store;
 
 mod conditions;
 mod frequencies;
+mod lasting_alert;
 mod levels;
 mod overview;
 mod sensors;

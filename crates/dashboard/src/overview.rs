@@ -31,7 +31,7 @@ const CERTAIN: f64 = 0.999;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Level {
-    /// An alert is raised and not acknowledged.
+    /// An alert is raised and not acknowledged, or a lasting loss was found.
     Alarm,
     /// No new data arrives, so the current condition is unknown.
     Stale,
@@ -191,7 +191,7 @@ pub(crate) fn overview(store: &Store) -> Overview {
     let sensors = sensor_count(store);
     let (level, sentence) = attention(store, &sensors);
     let also = match level {
-        Level::Alarm => besides_the_alarm(store, &sensors),
+        Level::Alarm => besides_the_alarm(store, &sensors, &sentence),
         _ => String::new(),
     };
     let told = store
@@ -235,10 +235,12 @@ pub(crate) fn overview(store: &Store) -> Overview {
         time_s: *time_ns as f64 / 1e9,
         why: alert.why.clone(),
     });
-    let raised = unseen(store).count();
+    let lasting = |state| frequencies::lasting_losses(store, state).count();
+    let raised = unseen(store).count() + lasting(AlertState::Raised);
     let acknowledged = alerts_in(store, AlertState::Acknowledged)
         .chain(alerts_in(store, AlertState::Unconfirmed).filter(|alert| !alert.is_unseen()))
-        .count();
+        .count()
+        + lasting(AlertState::Acknowledged);
     Overview {
         name: store.about.name.clone(),
         description: store.about.description.clone(),
@@ -386,6 +388,9 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     if let Some(first) = unseen(store).max_by(by_severity) {
         return (Level::Alarm, with_others(store, first));
     }
+    if let Some(sentence) = frequencies::alarm(store) {
+        return (Level::Alarm, sentence);
+    }
     let concerns = concerns(store, sensors);
     let told = || concerns.iter().map(|(_, sentence)| sentence.as_str());
     if store.is_stale() {
@@ -455,12 +460,13 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
     }
 }
 
-/// Returns sentences on everything besides the alarm that needs attention; may be empty.
-fn besides_the_alarm(store: &Store, sensors: &SensorCount) -> String {
+/// Returns sentences on everything besides the sentence of the alarm that needs attention; may be
+/// empty.
+fn besides_the_alarm(store: &Store, sensors: &SensorCount, alarm: &str) -> String {
     let unwatched = unwatched(store).map(MonitoringDisplay::words);
     let mut told: Vec<String> = unwatched.into_iter().collect();
     for (_, sentence) in concerns(store, sensors) {
-        if !told.contains(&sentence) {
+        if sentence != alarm && !told.contains(&sentence) {
             told.push(sentence);
         }
     }

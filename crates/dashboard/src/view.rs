@@ -1,12 +1,13 @@
 //! Views of a structure for the page and for scripts.
 
 use crate::conditions::{ConditionView, conditions};
+use crate::lasting_alert::{LastingAlert, lasting_alerts};
 use crate::sensors::{SensorState, sensor_states};
 use crate::store::Store;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, FitDisplay, JudgementDisplay, LossDisplay,
-    ModeDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
+    AlertMessage, AlertState, ChangeKind, Event, EventKind, FitDisplay, JudgementDisplay,
+    LossDisplay, ModeDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
 };
 use std::collections::{BTreeMap, BTreeSet};
@@ -34,6 +35,8 @@ pub(crate) struct Standing<'s> {
     fit: Option<FitView<'s>>,
     training: bool,
     alerts: Vec<AlertView<'s>>,
+    /// The lasting losses as alerts, in the order of the structure file.
+    lasting_alerts: Vec<LastingAlert<'s>>,
     changes: Vec<AlertView<'s>>,
     events: Vec<&'s Event>,
     sensors: Vec<SensorState<'s>>,
@@ -42,9 +45,20 @@ pub(crate) struct Standing<'s> {
     series: Vec<String>,
 }
 
+/// What has decided an alert.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum AlertKind {
+    /// A rule of the structure file, from the present estimates.
+    Rule,
+    /// The judgement of lasting change.
+    LastingLoss,
+}
+
 /// An alert with additional data of the dashboard.
 #[derive(Debug, Serialize)]
 pub(crate) struct AlertView<'s> {
+    kind: AlertKind,
     #[serde(flatten)]
     pub(crate) message: &'s AlertMessage,
     /// Whether the service that published the alert has disappeared.
@@ -143,6 +157,7 @@ impl<'s> Standing<'s> {
             }),
             training: store.phase == Some(Phase::Training),
             alerts: standing_alerts(store).collect(),
+            lasting_alerts: lasting_alerts(store).collect(),
             changes: changes(store).take(CHANGES_SHOWN).collect(),
             events: store.events.iter().take(EVENTS_SHOWN).collect(),
             sensors: sensor_states(store),
@@ -187,6 +202,7 @@ impl<'s> AlertView<'s> {
         let acknowledgement = store.acknowledgement(message);
         let note = acknowledgement.map(|seen| seen.note.as_str());
         Self {
+            kind: AlertKind::Rule,
             message,
             stale: false,
             changed_ns,
@@ -205,11 +221,33 @@ impl<'s> AlertView<'s> {
 /// earlier had its own notices.
 fn notices<'s>(store: &'s Store, alert: &AlertMessage) -> Vec<NoticeView<'s>> {
     let since_ns = alert.since_ns.unwrap_or(alert.time_ns);
+    let is_own = |event: &Event| !is_about_lasting_change(event);
+    notices_since(store, &alert.parameter, since_ns, is_own)
+}
+
+/// Returns `true` if a notice that was sent is about a lasting change, and not about the alert of
+/// the parameter with the same name.
+pub(crate) fn is_about_lasting_change(sent: &Event) -> bool {
+    let mut kinds = [ChangeKind::LastingLoss, ChangeKind::Stiffer].into_iter();
+    kinds.any(|kind| {
+        let rest = sent.why.strip_prefix(kind.as_str());
+        rest.is_some_and(|rest| rest.starts_with(" at "))
+    })
+}
+
+/// Returns the last notice about a part to each receiver, newest first, of those since a time (ns
+/// since the Unix epoch, UTC) for which `is_wanted` returns `true`.
+pub(crate) fn notices_since<'s>(
+    store: &'s Store,
+    part: &Name,
+    since_ns: i64,
+    is_wanted: impl Fn(&Event) -> bool,
+) -> Vec<NoticeView<'s>> {
     // The times of a simulation can be after those of its notices.
     let is_simulated = store.state.is_replayed();
     let is_own = |event: &&Event| {
         let is_later = is_simulated || event.time_ns >= since_ns;
-        is_later && event.subject == alert.parameter.as_str()
+        is_later && event.subject == part.as_str() && is_wanted(event)
     };
     let notice = |event: &'s Event| {
         let (start, failure) = match event.kind {

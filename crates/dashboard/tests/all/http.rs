@@ -5,8 +5,8 @@ use serde_json::{Value, json};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, Annotation, AnnotationEffect, AnnotationKind, Bus,
     BusConfig, CredibleInterval, DisplayPublisher, Event, EventKind, FrameBlock, Header,
-    HistoryRows, HistorySpan, Keep, Keys, LatestPublisher, LossDisplay, Name, NumberedStream,
-    ParameterDisplay, StreamState, time_ns,
+    HistoryRows, HistorySpan, JudgementDisplay, Keep, Keys, LatestPublisher, LossDisplay, Name,
+    NumberedStream, ParameterDisplay, StreamState, time_ns,
 };
 use spandrel_dashboard::{DashboardError, DashboardPlan, DashboardService, Listen, PageSettings};
 use spandrel_service::{EventPublisher, Monitored, Service as _, ServiceInstance};
@@ -712,6 +712,85 @@ async fn annotation_is_published_and_confirmed_by_the_service_judge() {
         .await
         .expect_refused(403, "another site");
     assert!(heard.messages().is_empty(), "what is refused is not sent");
+    drop(token);
+    site.end().await;
+}
+
+/// Returns the judgement of storey 2, which has lost 5 % of its stiffness.
+fn lasting_loss() -> JudgementDisplay {
+    let text = r#"{"structure":"demo","quantity":"storey-2","time_ns":9,"day_ns":0,"epoch_ns":8,
+        "epochs":96,"measured":true,"state":"judged","change":{"kind":"lasting-loss","found_ns":0,
+        "since_ns":0,"loss":0.05,"interval":{"level":0.95,"low":0.04,"high":0.06}},
+        "sentence":"storey-2 has lost 5.0 % of stiffness [4.0, 6.0].","expectation":null,
+        "false_alarms_per_year":0.1}"#;
+    serde_json::from_str(text).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
+    let site = Site::of(Listen::At("127.0.0.1:0".into()).into(), JUDGE).await;
+    let key = site.keys.judgement(&name("storey-2"));
+    let judgements = site.bus.publish_display(key).await.unwrap();
+    let key = site.keys.annotation();
+    let heard = site.bus.subscribe::<Annotation>(key, 8).await.unwrap();
+    let events = EventPublisher::declare(&site.bus, &site.keys)
+        .await
+        .unwrap();
+    let path = "/api/structures/demo/judgements/storey-2/acknowledge";
+    let json_body = "Content-Type: application/json\r\n";
+    let body = r#"{"who":"Ada","note":"on my way"}"#;
+    site.request("POST", path, json_body, body)
+        .await
+        .expect_refused(409, "no lasting loss of storey-2 is known");
+    judgements.put(&lasting_loss()).await.unwrap();
+    let found = site.wait("an alarm", |found| found["raised"] == 1).await;
+    assert_eq!(found["level"], "alarm");
+    let alerts = site.get("/api/alerts?state=raised").await.json();
+    let alert = &alerts["standing"][0];
+    assert_eq!(
+        (&alert["kind"], &alert["parameter"]),
+        (&json!("lasting-loss"), &json!("storey-2"))
+    );
+    let none = site.get("/api/alerts?state=acknowledged").await.json();
+    assert_eq!(none["standing"], json!([]));
+
+    let instance = ServiceInstance::new(&site.bus, name("judge"));
+    let judge = spandrel_bus::Service::Judge;
+    let token = instance.announce(judge, &site.keys).await.unwrap();
+    let keeping = async {
+        let (_, annotation) = heard.messages().recv_async().await.unwrap();
+        let event = Event {
+            structure: name("demo"),
+            time_ns: annotation.from_ns,
+            kind: EventKind::Annotation,
+            subject: "storey-2".to_owned(),
+            what: annotation.what(),
+            why: annotation.why(),
+        };
+        events.put(&event).await.unwrap();
+        annotation
+    };
+    let sending = async {
+        loop {
+            let sent = site.request("POST", path, json_body, body).await;
+            if sent.status != 503 {
+                return sent;
+            }
+        }
+    };
+    let (sent, annotation) = tokio::join!(sending, keeping);
+    assert_eq!(
+        (sent.status, sent.json()),
+        (200, json!({"sent": true, "state": "acknowledged"}))
+    );
+    assert_eq!(
+        (annotation.effect, annotation.quantity, annotation.why()),
+        (
+            AnnotationEffect::Seen,
+            Some(name("storey-2")),
+            "Ada: on my way".to_owned()
+        )
+    );
     drop(token);
     site.end().await;
 }
