@@ -79,6 +79,7 @@ async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
     browser.evaluate("location.hash = '#/structure/demo'").await;
     the_present_state_leads_to_the_year(&mut browser).await;
     the_first_quantity_has_lost_stiffness(&mut browser).await;
+    the_loss_is_listed_among_the_alerts(&mut browser).await;
     a_note_is_entered_by_keyboard(&mut browser).await;
     another_quantity_has_its_own_address(&mut browser).await;
     the_plots_are_zoomed_and_read_by_keyboard(&mut browser).await;
@@ -102,7 +103,7 @@ const PANEL: &str = "document.getElementById('panel-lasting').innerText";
 async fn the_present_state_leads_to_the_year(browser: &mut Browser) {
     let list = "document.getElementById('judgements')";
     let lost = format!(
-        "/◆ lasting loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch \
+        "/▲ lasting loss: storey-1 has lost .* Found on 2025-1.-..[.] Last epoch \
          2025-11-22/.test({list}.textContent)"
     );
     browser
@@ -136,6 +137,24 @@ async fn the_first_quantity_has_lost_stiffness(browser: &mut Browser) {
     browser.prefer("dark").await;
     browser.screenshot("lasting-change-dark").await;
     browser.prefer("light").await;
+}
+
+async fn the_loss_is_listed_among_the_alerts(browser: &mut Browser) {
+    let button = "document.querySelector('.attention .actions button.acknowledge')?.textContent \
+                  === 'Acknowledge the lasting loss of storey-1'";
+    browser.wait("a button for the loss", button).await;
+    browser.evaluate("location.hash = '#/alerts'").await;
+    let card = "document.querySelector('.alerts:not(.past) .alert[data-state=raised]')";
+    let year = "'#/structure/demo/lasting?quantity=storey-1'";
+    let listed = format!(
+        "/storey-1 [(]lasting loss[)]/.test({card}?.textContent) \
+         && {card}.querySelector('a.button').hash === {year}"
+    );
+    browser.wait("the loss among the alerts", &listed).await;
+    let back = format!("location.hash = {year}");
+    browser.evaluate(&back).await;
+    let shown = format!("/storey-1 has lost [0-9.]+ % of stiffness/.test({PANEL})");
+    browser.wait("the year again", &shown).await;
 }
 
 async fn a_note_is_entered_by_keyboard(browser: &mut Browser) {

@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, changedAt, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, withMinus } from "./words.js";
+import { SERVICES, STATES, canBeSeen, changedAt, isLasting, judged, keyOfAlert, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, withMinus, wordOf } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement or note. */
 export const NAME_KEY = "spandrel-name";
@@ -89,7 +89,7 @@ export class AlertsPage {
     this.left.hidden = all.length <= MOST_CHANGES;
     setText(this.left, t("older-changes-not-shown", all.length - changes.length));
     const isFiltered = Boolean(this.structure.value || this.state.value || this.text.value);
-    const hasAlert = this.standing.show(standing, (alert) => `${alert.structure}/${alert.parameter}`, isFiltered);
+    const hasAlert = this.standing.show(standing, keyOfAlert, isFiltered);
     const hasChange = this.changes.show(changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.changed_ns}/${alert.state}`, isFiltered);
     this.none.hidden = hasAlert;
     setText(this.none, isFiltered ? t("no-alert-matches-the-filter") : standing.length > 0 ? t("no-alert") : t("no-rule-has-reached-a-decision-yet"));
@@ -147,7 +147,7 @@ class AlertList {
   }
 
   #make() {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }, t("show-the-moment")), help: makeHelp() };
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }), help: makeHelp() };
     parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }) : null;
     parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, parts.revised, parts.help.element, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
@@ -211,8 +211,9 @@ function updateAlert(parts, alert) {
   parts.alert = alert;
   parts.element.dataset.level = state.level;
   parts.element.dataset.state = alert.state;
-  setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? t("stale-the-alert-service-is-gone") : ""}`);
-  setText(parts.who, `${alert.structure} / ${alert.parameter}`);
+  const stale = isLasting(alert) ? t("stale-the-service-judge-is-gone") : t("stale-the-alert-service-is-gone");
+  setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? stale : ""}`);
+  setText(parts.who, `${alert.structure} / ${alert.parameter}${isLasting(alert) ? ` (${wordOf(alert.kind)})` : ""}`);
   // The sentence of a normal parameter is as old as its first decision.
   const isNormal = alert.state === "normal" && alert.now;
   setAttribute(parts.why, "lang", isNormal ? null : SERVICES);
@@ -226,7 +227,9 @@ function updateAlert(parts, alert) {
     line.hidden = !text;
   }
   updateHelp(parts.help, [alert]);
-  parts.link.href = place(alert.structure, alert.parameter, (alert.since_ns ?? alert.changed_ns) / 1e9);
+  // Days show a lasting loss, and moments do not.
+  setText(parts.link, isLasting(alert) ? t("show-the-year") : t("show-the-moment"));
+  parts.link.href = isLasting(alert) ? judged(alert.structure, alert.parameter) : place(alert.structure, alert.parameter, (alert.since_ns ?? alert.changed_ns) / 1e9);
   parts.link.parentElement.hidden = ROUTINE.includes(alert.state);
   if (!parts.button) return;
   parts.button.hidden = !canBeSeen(alert);
@@ -234,7 +237,8 @@ function updateAlert(parts, alert) {
 }
 
 /**
- * Dialog for acknowledging an alert. It sends the name and waits for the alert service to confirm.
+ * Dialog for acknowledging an alert. It sends the name and waits for the alert service to confirm, or
+ * for judge if the alert is a lasting loss.
  */
 export class AcknowledgeDialog {
   constructor(sent = () => {}) {
@@ -280,7 +284,7 @@ export class AcknowledgeDialog {
   /** Closes the dialog as soon as the alert service has confirmed the acknowledgement. */
   update(alerts) {
     if (!this.waiting) return;
-    const own = alerts.find(({ structure, parameter }) => structure === this.alert.structure && parameter === this.alert.parameter);
+    const own = alerts.find((alert) => keyOfAlert(alert) === keyOfAlert(this.alert));
     if (own && (own.state !== this.alert.state || own.acknowledged_by !== this.alert.acknowledged_by)) {
       this.waiting = false;
       clearTimeout(this.timer);
@@ -296,17 +300,19 @@ export class AcknowledgeDialog {
     this.send.disabled = true;
     setText(this.told, t("sending"));
     const { structure, parameter } = this.alert;
-    const address = `/api/structures/${encodeURIComponent(structure)}/alerts/${encodeURIComponent(parameter)}/acknowledge`;
+    const list = isLasting(this.alert) ? "judgements" : "alerts";
+    const address = `/api/structures/${encodeURIComponent(structure)}/${list}/${encodeURIComponent(parameter)}/acknowledge`;
     try {
       const response = await fetch(address, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ who, note }) });
       if (!response.ok) {
         const { error, allowed } = await response.json();
         return this.#failed(`${error}; ${allowed}`);
       }
-      if (response.status === 200) { // the alert service has accepted it
+      if (response.status === 200) { // the service has accepted it
         this.element.close();
         return this.sent();
       }
+      if (isLasting(this.alert)) return this.#failed(t("the-note-is-not-confirmed"));
     } catch {
       return this.#failed(t("cannot-reach-spandrel-the-acknowledgement-was-not"));
     }

@@ -16,12 +16,15 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { DAY_S, Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, bySeverity, canBeSeen, fitWord, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
+import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, bySeverity, canBeSeen, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
 /** Number of alerts whose buttons are always shown. */
 const MOST_BUTTONS = 2;
+
+/** Returns the alerts of the rules and the lasting losses. */
+const alertsOf = ({ alerts, lasting_alerts: lasting }) => [...alerts, ...lasting];
 
 export class StructurePage {
   #standing = null;
@@ -183,8 +186,10 @@ export class StructurePage {
     const level = LEVELS[overview.level];
     this.head.dataset.level = overview.level;
     const { sensors } = overview;
-    const severity = ({ credibility: probability, loss }) => ({ probability, loss: loss ?? 0 });
-    const raised = (this.#standing?.alerts ?? []).filter(canBeSeen).sort((a, b) => (a.state === "cleared") - (b.state === "cleared") || bySeverity(severity(a), severity(b)));
+    const severity = ({ credibility: probability = 1, loss }) => ({ probability, loss: loss ?? 0 });
+    const alerts = this.#standing ? alertsOf(this.#standing) : [];
+    // The judgement states no probability of a lasting loss, which is as good as certain.
+    const raised = alerts.filter(canBeSeen).sort((a, b) => isLasting(b) - isLasting(a) || (a.state === "cleared") - (b.state === "cleared") || bySeverity(severity(a), severity(b)));
     const badge = (name) => h("span", { class: "badge", "data-level": name });
     this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }), others: h("div", { class: "actions" }), othersTitle: h("summary"), help: makeHelp() };
     const { parts } = this;
@@ -212,13 +217,14 @@ export class StructurePage {
     };
     const update = (part, alert) => {
       part.alert = alert;
-      labelButton(part.element, alert, t("acknowledge-part", alert.parameter), t("mark-part-as-seen", alert.parameter));
+      const label = isLasting(alert) ? t("acknowledge-lasting-loss", alert.parameter) : t("acknowledge-part", alert.parameter);
+      labelButton(part.element, alert, label, t("mark-part-as-seen", alert.parameter));
     };
-    keyed(parts.actions, raised.slice(0, MOST_BUTTONS), ({ parameter }) => parameter, make, update);
-    keyed(parts.others, raised.slice(MOST_BUTTONS), ({ parameter }) => parameter, make, update);
+    keyed(parts.actions, raised.slice(0, MOST_BUTTONS), keyOfAlert, make, update);
+    keyed(parts.others, raised.slice(MOST_BUTTONS), keyOfAlert, make, update);
     parts.folded.hidden = raised.length <= MOST_BUTTONS;
     setText(parts.othersTitle, t("further-alerts", raised.length - MOST_BUTTONS));
-    updateHelp(parts.help, this.#standing?.alerts ?? []);
+    updateHelp(parts.help, alerts);
     this.tabs?.[0].attend(overview);
   }
 
@@ -227,7 +233,7 @@ export class StructurePage {
     if (!this.about) return;
     this.tabs.forEach((tab) => tab.discover?.(standing));
     this.#current.update(standing);
-    this.dialog.update(standing.alerts);
+    this.dialog.update(alertsOf(standing));
     this.#current.plots.forEach((plot) => plot.plot.marks && plot.dirty());
   }
 

@@ -189,6 +189,16 @@ export function bySeverity(a, b) {
   return Math.min(b.probability, CERTAIN) - Math.min(a.probability, CERTAIN) || b.loss - a.loss;
 }
 
+/** Returns whether an alert is a lasting loss, and not that of a rule. */
+export function isLasting({ kind }) {
+  return kind === "lasting-loss";
+}
+
+/** Returns a key of an alert: a quantity can have the name of a parameter. */
+export function keyOfAlert({ kind, structure, parameter }) {
+  return `${kind}/${structure}/${parameter}`;
+}
+
 /** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);
@@ -368,7 +378,7 @@ export function modeWords({ mode, time_ns: end, state, partner, estimate, presen
  * Levels of the words of a judgement. The others say nothing about the structure. Without a value, a
  * condition or a reference, a loss would not be noticed.
  */
-const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "warning", "learned-away": "warning", "no-statement": "warning", "not-ready": "warning" };
+const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alarm", "learned-away": "alarm", "no-statement": "warning", "not-ready": "warning" };
 
 /** Returns the level, sign and words of the judgement of a quantity. */
 export function judgementWords({ word: judged, sentence, change, seen, epoch_ns: epoch, measured }) {
