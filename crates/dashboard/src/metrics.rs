@@ -503,6 +503,16 @@ impl Metrics {
                 let holds = f64::from(u8::from(word == view.word));
                 self.judgement.get_or_create(&labels).set(holds);
             }
+            for state in [AlertState::Raised, AlertState::Acknowledged] {
+                let labels = vec![
+                    structure(store),
+                    ("quantity", quantity.to_owned()),
+                    ("kind", ChangeKind::LastingLoss.as_str().to_owned()),
+                    ("state", state.as_str().to_owned()),
+                ];
+                let holds = f64::from(u8::from(display.alert_state() == Some(state)));
+                self.alert.get_or_create(&labels).set(holds);
+            }
             if let Some(change) = &display.change {
                 set(store, &self.lasting_loss, "quantity", quantity, change.loss);
             }
@@ -682,6 +692,10 @@ mod tests {
         for line in [
             format!("spandrel_judgement_state{{{labels},state=\"lasting-loss\"}} 1.0"),
             format!("spandrel_judgement_state{{{labels},state=\"judged\"}} 0.0"),
+            format!("spandrel_alert_state{{{labels},kind=\"lasting-loss\",state=\"raised\"}} 1.0"),
+            format!(
+                "spandrel_alert_state{{{labels},kind=\"lasting-loss\",state=\"acknowledged\"}} 0.0"
+            ),
             format!("spandrel_judgement_loss{{{labels}}} 0.05"),
             format!("spandrel_judgement_evidence{{{labels}}} 1.125"),
             format!("spandrel_judgement_epoch_seconds{{{labels}}} 450.0"),
