@@ -193,9 +193,9 @@ fn of_worker() -> Vec<(Right, KeyFamily)> {
         ]
         .map(of_service)
         .concat(),
-        // Reports of earthquakes need the frames, and state the open alerts.
+        // Reports of earthquakes need the frames, and state the open alerts and lasting losses.
         each(Right::Answer, &[K::Report]),
-        each(Right::Subscribe, &[K::Alert]),
+        each(Right::Subscribe, &[K::Alert, K::Judgement]),
         each(Right::Query, &[K::Alert]),
     ]
     .concat()

@@ -26,14 +26,15 @@ use tokio::task::{JoinError, JoinHandle};
 use tokio::time::Instant;
 use tracing::{info, warn};
 
-/// The open alerts, which each report states.
+/// The open alerts and the lasting losses, which each report states.
 const NEEDS: Needs = Needs {
-    topics: &[DisplayTopic::Alerts],
+    topics: &[DisplayTopic::Alerts, DisplayTopic::Judgements],
     services: &[Service::Alert],
     logs: &[],
 };
-/// Pause after the start, in which the alert service states the open alerts.
-const ALERTS_WITHIN: Duration = Duration::from_secs(3);
+/// Pause after the start, in which the alert service states the open alerts. The service judge
+/// repeats its judgements every 5 s.
+const ALERTS_WITHIN: Duration = Duration::from_secs(6);
 /// Maximum number of values for which the calling thread processes a block. They take less than
 /// 500 µs.
 const BRIEF: usize = 10_000;
@@ -375,12 +376,7 @@ impl ReportsService {
         {
             self.make_at = None;
             self.hear_alerts();
-            let open = self
-                .state
-                .alerts
-                .values()
-                .filter(|alert| alert.stands() && !self.state.is_alert_stale(&alert.parameter));
-            let standing: Vec<String> = open.map(|alert| alert.why.clone()).collect();
+            let standing = open_alerts(&self.state);
             self.making = Some(tokio::task::spawn_blocking(move || {
                 let work = desk.work(&standing);
                 (desk, work)
@@ -593,6 +589,16 @@ impl ReportsService {
     }
 }
 
+/// Returns the open alerts and the lasting losses, in sentences without a full stop.
+fn open_alerts(state: &StructureState) -> Vec<String> {
+    let alerts = state.alerts.values();
+    let open = alerts.filter(|alert| alert.stands() && !state.is_alert_stale(&alert.parameter));
+    let judgements = state.judgements.values();
+    let losses = judgements.filter(|judgement| judgement.alert_state().is_some());
+    let losses = losses.map(|judgement| judgement.sentence.trim_end_matches('.').to_owned());
+    open.map(|alert| alert.why.clone()).chain(losses).collect()
+}
+
 /// Waits until a query may be answered, and for the query. Further queries wait in the queue. The
 /// wait is cancel-safe.
 async fn next_question(
@@ -638,5 +644,33 @@ fn detection_settings(structure: &Structure, plan: &EarthquakePlan) -> Detection
         strong: plan.strong_m_per_s2,
         again_after_s: plan.again_after_s.clone(),
         most_frames: (MOST_BYTES / bytes) as u64,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use spandrel_bus::JudgementDisplay;
+    use spandrel_listener::Input;
+
+    #[test]
+    fn a_report_states_the_lasting_losses_and_no_gain() {
+        let text = r#"{"structure":"house","quantity":"storey-1","time_ns":9,"day_ns":0,
+            "epoch_ns":8,"epochs":96,"measured":true,"state":"judged","change":
+            {"kind":"lasting-loss","found_ns":0,"since_ns":0,"loss":0.05,
+            "interval":{"level":0.95,"low":0.04,"high":0.06}},
+            "sentence":"storey-1 has lost 5.0 % of stiffness [4.0, 6.0].","expectation":null,
+            "false_alarms_per_year":0.1}"#;
+        let open = |text: &str| {
+            let display: JudgementDisplay = serde_json::from_str(text).unwrap();
+            let mut state = StructureState::default();
+            state.handle(Input::Judgement(display), &mut Vec::new());
+            open_alerts(&state)
+        };
+        assert_eq!(
+            open(text),
+            ["storey-1 has lost 5.0 % of stiffness [4.0, 6.0]"]
+        );
+        assert!(open(&text.replace("lasting-loss", "stiffer")).is_empty());
     }
 }
