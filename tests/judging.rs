@@ -195,6 +195,14 @@ impl Others {
         Process::start(&mut command).wait().expect_code(0).stdout
     }
 
+    /// Starts `spandrel watch`, which prints lines.
+    fn watch(&self) -> Process {
+        let mut command = crate::support::spandrel("watch");
+        let root = self.site.keys().root().to_string();
+        command.args(["house", "--root", &root, "--connect", self.site.endpoint()]);
+        Process::start(&mut command)
+    }
+
     /// Waits for a state of the storey.
     async fn state_where(&self, what: &str, is_it: impl Fn(&JudgementDisplay) -> bool) {
         within(what, async {
@@ -533,6 +541,12 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     let judge = others.judge().await;
     others.publish(&rows, 0..70, |deck| deck).await;
     assert_eq!(others.last().word(), "lasting-loss");
+    let watch = others.watch();
+    let shows = |state: &str| {
+        let line = format!("alert house/storey-1 (lasting loss) {state}: storey-1 ");
+        watch.wait_for_output(&line, |text| text.contains(&line));
+    };
+    shows("raised");
     let told = others.annotate(&["inspection", "crack", "--seen", "--quantity", "storey-1"]);
     assert_eq!(
         told,
@@ -543,6 +557,7 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
         seen.is_some_and(|seen| seen.who == "ada" && seen.text == "crack")
     };
     others.state_where("a change that was seen", is_seen).await;
+    shows("acknowledged");
 
     // The bearings were replaced on day 60, which is past.
     let from = ((FIRST_DAY + 60) * 86_400 + 43_200).to_string();
@@ -552,6 +567,8 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
         display.change.is_none() && display.state == JudgementState::Learning
     };
     others.state_where("a new reference", is_new).await;
+    shows("cleared");
+    watch.stop();
     let course = others.course("").await;
     assert_eq!(course.annotations.len(), 2);
     assert!(course.rows[59].change.is_some());

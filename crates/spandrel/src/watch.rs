@@ -3,7 +3,7 @@
 //!
 //! Messages and keys are the input. A screen, lines and acknowledgements are the output.
 //!
-//! - [`natural_name`], [`trail`], [`heard`]: state from the messages on the bus, without clock,
+//! - [`natural_name`], [`trail`], [`open_alert`], [`heard`]: state from the messages on the bus, without clock,
 //!   network or terminal
 //! - [`form`], [`view`]: state of the user's choices and input, which turns keys into actions
 //! - [`wording`], [`estimate_bar`], [`wrap`]: numbers, intervals and sentences as text
@@ -14,6 +14,7 @@
 mod form;
 mod heard;
 mod natural_name;
+mod open_alert;
 mod trail;
 mod view;
 

@@ -2,6 +2,7 @@
 
 use super::form::{Field, Form};
 use super::lists::{alert_lines, alerts_title, event_lines};
+use super::open_alert::AlertId;
 use super::structure_panel::StructurePanel;
 use super::view::{Mode, View};
 use ratatui::Frame;
@@ -71,11 +72,7 @@ pub fn draw(view: &View, frame: &mut Frame<'_>) {
                 last,
             );
         }
-        Mode::Acknowledging {
-            structure,
-            parameter,
-            form,
-        } => draw_form(frame, last, structure, parameter, form),
+        Mode::Acknowledging { alert, form } => draw_form(frame, last, alert, form),
     }
 }
 
@@ -251,7 +248,7 @@ fn draw_keys(view: &View, frame: &mut Frame<'_>, area: Rect) {
     }
 }
 
-fn draw_form(frame: &mut Frame<'_>, area: Rect, structure: &Name, parameter: &Name, form: &Form) {
+fn draw_form(frame: &mut Frame<'_>, area: Rect, alert: &AlertId, form: &Form) {
     let mark = |field: Field| if form.field == field { "▏" } else { "" };
     let style = |field: Field| {
         if form.field == field {
@@ -261,7 +258,7 @@ fn draw_form(frame: &mut Frame<'_>, area: Rect, structure: &Name, parameter: &Na
         }
     };
     let mut line = Line::from_iter([
-        Span::raw(format!("acknowledge {structure}/{parameter}  ")),
+        Span::raw(format!("acknowledge {alert}  ")),
         Span::styled(
             format!(" who: {}{} ", form.who, mark(Field::Who)),
             style(Field::Who),

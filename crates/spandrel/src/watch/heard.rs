@@ -1,9 +1,11 @@
 //! State of the view: the present state of the structures, recent values and traffic, and events.
 
 use super::natural_name::in_order;
+use super::open_alert::{AlertId, AlertKind, Change, OpenAlert};
 use super::trail::Trail;
 use spandrel_bus::{
-    AlertMessage, AlertState, Event, EventKind, LossDisplay, Name, NodeDisplay, ParameterDisplay,
+    AlertState, Event, EventKind, JudgementDisplay, LossDisplay, Name, NodeDisplay,
+    ParameterDisplay, Service,
 };
 use spandrel_listener::{AlertChange, Input, StructureState, Structures};
 use std::collections::{BTreeMap, VecDeque};
@@ -68,10 +70,11 @@ impl Origin {
 
 impl Heard {
     /// Processes one input and appends the resulting changes of alerts to `changes`.
-    pub fn handle(&mut self, input: Input, changes: &mut Vec<AlertMessage>) {
+    pub fn handle(&mut self, input: Input, changes: &mut Vec<Change>) {
         match input {
             Input::Parameter(display) => self.take_parameter(display),
             Input::Node(display) => self.take_node(display),
+            Input::Judgement(display) => self.take_judgement(display, changes),
             Input::Event(event) => self.take_event(event),
             input => {
                 let mut all = Vec::new();
@@ -80,9 +83,18 @@ impl Heard {
                 let is_news = |change: &AlertChange| {
                     change.was_known || change.alert.state != AlertState::Normal
                 };
-                changes.extend(all.into_iter().filter(is_news).map(|change| change.alert));
+                let news = all.iter().filter(|change| is_news(change));
+                changes.extend(news.map(|change| OpenAlert::Rule(&change.alert).change()));
             }
         }
+    }
+
+    fn take_judgement(&mut self, display: JudgementDisplay, changes: &mut Vec<Change>) {
+        let state = self.structure(&display.structure);
+        let before = state.and_then(|state| state.judgements.get(&display.quantity));
+        changes.extend(Change::of_judgement(before, &display));
+        let input = Input::Judgement(display);
+        self.structures.handle(input, &mut Vec::new());
     }
 
     fn take_parameter(&mut self, display: ParameterDisplay) {
@@ -161,21 +173,46 @@ impl Heard {
         self.events.iter()
     }
 
-    /// Returns the alerts that are neither normal nor learning, newest first.
-    pub fn open_alerts(&self) -> Vec<&AlertMessage> {
-        let structures = self.structures();
-        let all = structures.flat_map(|(_, structure)| in_order(&structure.alerts));
-        let all = all.map(|(_, alert)| alert);
-        let mut open: Vec<&AlertMessage> = all.filter(|alert| is_open(alert.state)).collect();
-        open.sort_by_key(|alert| std::cmp::Reverse(alert.time_ns));
+    /// Returns the alerts that are neither normal nor learning and the lasting losses, newest first.
+    pub fn open_alerts(&self) -> Vec<OpenAlert<'_>> {
+        let mut open = Vec::new();
+        for (_, structure) in self.structures() {
+            let alerts = in_order(&structure.alerts).into_iter();
+            let alerts = alerts.map(|(_, alert)| OpenAlert::Rule(alert));
+            open.extend(alerts.filter(|alert| is_open(alert.state())));
+            let judgements = in_order(&structure.judgements).into_iter();
+            open.extend(judgements.filter_map(|(_, display)| OpenAlert::lasting(display)));
+        }
+        open.sort_by_key(|alert| std::cmp::Reverse(alert.time_ns()));
         open
+    }
+
+    /// Returns an alert. `None` if it is not known, or if it is a lasting loss that is over.
+    pub fn alert(&self, id: &AlertId) -> Option<OpenAlert<'_>> {
+        let structure = self.structure(&id.structure)?;
+        match id.kind {
+            AlertKind::Rule => structure.alerts.get(&id.part).map(OpenAlert::Rule),
+            AlertKind::LastingLoss => {
+                let display = structure.judgements.get(&id.part);
+                display.and_then(OpenAlert::lasting)
+            }
+        }
     }
 
     /// Returns `true` if the service of an alert has disappeared and no other service has confirmed
     /// the alert.
-    pub fn is_stale(&self, alert: &AlertMessage) -> bool {
-        self.structure(&alert.structure)
-            .is_some_and(|structure| structure.is_alert_stale(&alert.parameter))
+    pub fn is_stale(&self, alert: OpenAlert<'_>) -> bool {
+        let Some(structure) = self.structure(alert.structure()) else {
+            return false;
+        };
+        match alert {
+            OpenAlert::Rule(alert) => structure.is_alert_stale(&alert.parameter),
+            OpenAlert::Lasting(..) => {
+                let mut seen = structure.seen.iter();
+                let was_there = seen.any(|(service, _)| *service == Service::Judge);
+                was_there && !structure.has(Service::Judge)
+            }
+        }
     }
 
     /// Returns the time of the last [`Input::Now`].

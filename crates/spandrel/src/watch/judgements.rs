@@ -14,8 +14,8 @@ pub fn judgement_texts(structure: &StructureState) -> impl Iterator<Item = Strin
     structure.judgements.values().map(words)
 }
 
-/// Returns word and sentence of each quantity for the panel. A lasting loss is red, and a lasting
-/// gain yellow.
+/// Returns word and sentence of each quantity for the panel. A lasting loss is red, and has its
+/// sentence in the list of alerts. A lasting gain is yellow.
 pub fn judgement_spans(structure: &StructureState) -> Vec<Span<'static>> {
     let span = |display: &JudgementDisplay| {
         let style = match &display.change {
@@ -28,7 +28,11 @@ pub fn judgement_spans(structure: &StructureState) -> Vec<Span<'static>> {
         let seen = seen.map_or_else(String::new, |seen| {
             format!(" Seen by {}.", printable(&seen.who))
         });
-        let text = format!("{}: {}{seen}", display.word(), printable(&display.sentence));
+        let word = display.word();
+        let text = match display.alert_state() {
+            Some(state) => format!("{word}: {}, {}", display.quantity, state.as_str()),
+            None => format!("{word}: {}{seen}", printable(&display.sentence)),
+        };
         Span::styled(text, style)
     };
     structure.judgements.values().map(span).collect()
@@ -41,16 +45,13 @@ mod tests {
     use spandrel_listener::Input;
 
     #[test]
-    fn a_lasting_loss_is_red_and_has_its_sentence() {
+    fn a_lasting_loss_is_red_and_has_its_state_as_an_alert() {
         let heard = heard([Input::Judgement(lasting_loss("storey-2"))]);
         let structure = heard.structure(&name("tower")).unwrap();
         let texts: Vec<String> = judgement_texts(structure).collect();
         assert_eq!(texts, ["lasting change of storey-2: lasting-loss"]);
         let spans = judgement_spans(structure);
-        assert_eq!(
-            spans[0].content,
-            "lasting-loss: storey-2 has lost 5.0 % of stiffness [4.0, 6.0]."
-        );
+        assert_eq!(spans[0].content, "lasting-loss: storey-2, raised");
         assert_eq!(spans[0].style.fg, Some(Color::Red));
     }
 }

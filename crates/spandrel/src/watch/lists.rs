@@ -1,12 +1,13 @@
 //! The lists below the structures: open alerts with their sentences, and the last events.
 
 use super::heard::Heard;
+use super::open_alert::{AlertKind, OpenAlert};
 use super::view::View;
 use super::wording::{printable, state_counts, state_style, time};
 use super::wrap::wrap;
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
-use spandrel_bus::{AlertMessage, Event, Name};
+use spandrel_bus::{Event, Name};
 
 /// Width of the mark and of `acknowledged`, the longest state.
 const BEFORE_SENTENCE: usize = 2 + 12 + 2;
@@ -40,7 +41,8 @@ impl Structures {
 /// Returns the title of the alert list, with the number of alerts in each state.
 pub fn alerts_title(heard: &Heard) -> Line<'static> {
     let mut line = Line::from(Span::styled("alerts", Modifier::BOLD));
-    line.extend(state_counts(heard.open_alerts().into_iter()));
+    let open = heard.open_alerts().into_iter();
+    line.extend(state_counts(open.map(OpenAlert::state)));
     line
 }
 
@@ -53,7 +55,7 @@ pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static
     let structures = Structures::of(&view.heard);
     let mut entries: Vec<Vec<Line<'static>>> = alerts
         .iter()
-        .map(|alert| alert_entry(&view.heard, alert, structures, width))
+        .map(|alert| alert_entry(&view.heard, *alert, structures, width))
         .collect();
     mark(&mut entries[selected]);
     let mut first = 0;
@@ -71,33 +73,32 @@ pub fn alert_lines(view: &View, width: usize, height: usize) -> Vec<Line<'static
 
 fn alert_entry(
     heard: &Heard,
-    alert: &AlertMessage,
+    alert: OpenAlert<'_>,
     structures: Structures,
     width: usize,
 ) -> Vec<Line<'static>> {
-    let stale = if heard.is_stale(alert) {
-        "stale (the alert service is gone): "
-    } else {
-        ""
+    let kind = alert.id().kind;
+    let stale = match heard.is_stale(alert) {
+        true => format!("stale (the {} is gone): ", kind.service()),
+        false => String::new(),
     };
-    let sentence = printable(&format!(
-        "{stale}{}{}",
-        structures.prefix(&alert.structure),
-        alert.why
-    ));
-    let state = Span::styled(
-        format!("{:<14}", alert.state.as_str()),
-        state_style(alert.state),
-    );
+    let kind = match kind {
+        AlertKind::Rule => "",
+        AlertKind::LastingLoss => "lasting loss: ",
+    };
+    let whose = structures.prefix(alert.structure());
+    let sentence = printable(&format!("{stale}{whose}{kind}{}", alert.words()));
+    let state = alert.state();
+    let state = Span::styled(format!("{:<14}", state.as_str()), state_style(state));
     let mut lines = wrap(&sentence, width.saturating_sub(BEFORE_SENTENCE));
     // The sentence describes the time of the change, so add the current loss.
-    if let Some(now) = heard
-        .structure(&alert.structure)
-        .and_then(|structure| structure.present_loss(alert))
-    {
-        let is_stale = heard
-            .structure(&alert.structure)
-            .is_some_and(|of| of.stale_for().is_some());
+    let structure = heard.structure(alert.structure());
+    let now = structure.and_then(|structure| match alert {
+        OpenAlert::Rule(alert) => structure.present_loss(alert),
+        OpenAlert::Lasting(..) => None,
+    });
+    if let Some(now) = now {
+        let is_stale = structure.is_some_and(|of| of.stale_for().is_some());
         let when = if is_stale { "by the last value" } else { "now" };
         lines.extend(wrap(
             &format!("{when}: {now}"),

@@ -1,7 +1,8 @@
 //! The view as plain lines, for pipes, scripts and logs.
 //!
-//! There is one line per change of an alert, and one line per second and structure. Each
-//! distributed node has a line from [`plain_line`](super::nodes::plain_line).
+//! There is one line per change of an alert, which [`Change`](super::open_alert::Change) writes, and
+//! one line per second and structure. Each distributed node has a line from
+//! [`plain_line`](super::nodes::plain_line).
 
 use super::conditions::condition_texts;
 use super::heard::Origin;
@@ -9,28 +10,10 @@ use super::judgements::judgement_texts;
 use super::modes::mode_texts;
 use super::natural_name::in_order;
 use super::structure_panel::{fit_words, leading_class};
-use super::wording::{NO_MODEL, duration, estimate, lag, nothing_measured, printable, time};
-use spandrel_bus::{AlertMessage, Load, Name, Service};
+use super::wording::{NO_MODEL, duration, estimate, lag, nothing_measured, time};
+use spandrel_bus::{Load, Name, Service};
 use spandrel_listener::StructureState;
 use std::fmt::Write as _;
-
-/// Returns the line for a change of an alert: `TIME alert STRUCTURE/PARAMETER STATE: SENTENCE`.
-pub fn alert_line(alert: &AlertMessage) -> String {
-    let AlertMessage {
-        structure,
-        parameter,
-        time_ns,
-        state,
-        why,
-        ..
-    } = alert;
-    format!(
-        "{} alert {structure}/{parameter} {}: {}",
-        time(*time_ns),
-        state.as_str(),
-        printable(why)
-    )
-}
 
 /// Returns the line of a structure: `TIME STRUCTURE PARAMETER MEAN ± STD STATE, …; SERVICE lag LAG,
 /// …`.
@@ -166,16 +149,6 @@ mod tests {
     fn line(heard: &Heard) -> String {
         let tower = name("tower");
         structure_line(&tower, heard.structure(&tower).unwrap())
-    }
-
-    #[test]
-    fn a_change_of_an_alert_is_one_line() {
-        let mut raised = alert("storey-2", 45, AlertState::Raised);
-        raised.why = "storey-2 has lost\n14 %".to_owned();
-        assert_eq!(
-            alert_line(&raised),
-            "2024-02-29 12:00:45 UTC alert tower/storey-2 raised: storey-2 has lost 14 %"
-        );
     }
 
     #[test]

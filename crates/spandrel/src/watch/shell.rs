@@ -2,13 +2,16 @@
 
 use super::heard::Heard;
 use super::nodes::plain_line;
-use super::plain::{alert_line, structure_line};
+use super::open_alert::{AlertId, AlertKind, Change};
+use super::plain::structure_line;
 use super::screen::Screen;
 use super::view::{Action, Around, View};
 use super::wording::nothing_heard;
 use crate::error::AppError;
 use ratatui::crossterm::event::{Event, KeyEventKind};
-use spandrel_bus::{Acknowledgement, Bus, KeyFamily, Keys, LiveWatch, Name, Service, parse_key};
+use spandrel_bus::{
+    Acknowledgement, Annotation, Bus, KeyFamily, Keys, LiveWatch, Name, Service, parse_key,
+};
 use spandrel_listener::{DisplayTopic as T, Input, Listener, Needs};
 use std::collections::BTreeSet;
 use std::io::{self, IsTerminal, Write};
@@ -105,21 +108,9 @@ async fn show_screen(
         };
         match action {
             Some(Action::Quit) => return Ok(()),
-            Some(Action::Acknowledge {
-                structure,
-                parameter,
-                who,
-                note,
-            }) => {
-                let acknowledgement = Acknowledgement {
-                    structure,
-                    parameter,
-                    time_ns: spandrel_service::Clock::of_machine().now_ns(),
-                    who,
-                    note,
-                };
-                acknowledge(bus, &others.root, &acknowledgement).await?;
-                view.sent(acknowledgement.structure, acknowledgement.parameter);
+            Some(Action::Acknowledge { alert, who, note }) => {
+                acknowledge(bus, &others.root, &alert, who, note).await?;
+                view.sent(alert);
             }
             None => {}
         }
@@ -132,16 +123,40 @@ fn user() -> String {
     std::env::var("USER").unwrap_or_default()
 }
 
+/// Publishes an acknowledgement. That of a lasting loss is an annotation, which the service judge
+/// keeps.
 async fn acknowledge(
     bus: &Bus,
     root: &Name,
-    acknowledgement: &Acknowledgement,
+    alert: &AlertId,
+    who: String,
+    note: String,
 ) -> Result<(), AppError> {
-    let keys = Keys::new(root.clone(), acknowledgement.structure.clone());
-    let publisher = bus
-        .publish_display(keys.acknowledge(&acknowledgement.parameter))
-        .await?;
-    Ok(publisher.put(acknowledgement).await?)
+    let AlertId {
+        kind,
+        structure,
+        part,
+    } = alert.clone();
+    let keys = Keys::new(root.clone(), structure.clone());
+    let time_ns = spandrel_service::Clock::of_machine().now_ns();
+    match kind {
+        AlertKind::Rule => {
+            let publisher = bus.publish_display(keys.acknowledge(&part)).await?;
+            let acknowledgement = Acknowledgement {
+                structure,
+                parameter: part,
+                time_ns,
+                who,
+                note,
+            };
+            Ok(publisher.put(&acknowledgement).await?)
+        }
+        AlertKind::LastingLoss => {
+            let publisher = bus.publish_display(keys.annotation()).await?;
+            let annotation = Annotation::acknowledging(structure, part, time_ns, who, note);
+            Ok(publisher.put(&annotation).await?)
+        }
+    }
 }
 
 async fn print_lines(
@@ -169,7 +184,7 @@ async fn print_lines(
         for input in listener.gather() {
             heard.handle(input, &mut changes);
         }
-        let mut lines: Vec<String> = changes.iter().map(alert_line).collect();
+        let mut lines: Vec<String> = changes.iter().map(Change::line).collect();
         if is_last || now >= next_line {
             next_line = now + LINE_EVERY;
             for (name, structure) in heard.structures() {
@@ -266,13 +281,13 @@ impl Clock {
 mod tests {
     use super::super::testing::name;
     use super::*;
-    use spandrel_bus::BusConfig;
+    use spandrel_bus::{AnnotationEffect, BusConfig};
 
     /// Only ends a hang; no test takes a second.
     const DEADLINE: Duration = Duration::from_secs(30);
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn acknowledgement_is_published_on_its_key() {
+    async fn acknowledgement_is_published_for_the_service_of_the_alert() {
         let config = BusConfig {
             listen: vec!["tcp/127.0.0.1:0".into()],
             ..BusConfig::default()
@@ -283,21 +298,32 @@ mod tests {
             .subscribe::<Acknowledgement>(keys.all_acknowledgements(), 8)
             .await
             .unwrap();
-        let sent = Acknowledgement {
-            structure: name("tower"),
-            parameter: name("storey-2"),
-            time_ns: spandrel_service::Clock::of_machine().now_ns(),
-            who: "anna".to_owned(),
-            note: "seen".to_owned(),
-        };
-        acknowledge(&bus, keys.root(), &sent).await.unwrap();
-        let received = tokio::time::timeout(DEADLINE, acknowledgements.messages().recv_async())
+        let annotations = bus
+            .subscribe::<Annotation>(keys.annotation(), 8)
             .await
-            .unwrap()
             .unwrap();
+        for kind in [AlertKind::Rule, AlertKind::LastingLoss] {
+            let alert = AlertId {
+                kind,
+                structure: name("tower"),
+                part: name("storey-2"),
+            };
+            let (who, note) = ("anna".to_owned(), "seen".to_owned());
+            acknowledge(&bus, keys.root(), &alert, who, note)
+                .await
+                .unwrap();
+        }
+        let acknowledged = tokio::time::timeout(DEADLINE, acknowledgements.messages().recv_async());
+        let (key, sent) = acknowledged.await.unwrap().unwrap();
+        assert_eq!(key, "spandrel/tower/alert/storey-2/acknowledge");
         assert_eq!(
-            received,
-            ("spandrel/tower/alert/storey-2/acknowledge".to_owned(), sent)
+            (sent.parameter, &*sent.who, &*sent.note),
+            (name("storey-2"), "anna", "seen")
         );
+        let noted = tokio::time::timeout(DEADLINE, annotations.messages().recv_async());
+        let (_, sent) = noted.await.unwrap().unwrap();
+        assert_eq!(sent.effect, AnnotationEffect::Seen);
+        assert_eq!(sent.quantity, Some(name("storey-2")));
+        assert_eq!(sent.why(), "anna: seen");
     }
 }

@@ -16,8 +16,8 @@ use super::wrap::flow;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use spandrel_bus::{
-    AlertMessage, AlertState, FitDisplay, FitVerdict, Load, LossDisplay, ModelClassDisplay,
-    MonitoringState, Name, NoiseDisplay, Service, Standing,
+    AlertMessage, AlertState, FitDisplay, FitVerdict, JudgementDisplay, Load, LossDisplay,
+    ModelClassDisplay, MonitoringState, Name, NoiseDisplay, Service, Standing,
 };
 use spandrel_listener::{InstanceState, StructureState};
 
@@ -308,7 +308,10 @@ fn shortened(name: &str) -> String {
 
 fn title(name: &Name, structure: &StructureState) -> Line<'static> {
     let mut line = Line::from(Span::styled(name.to_string(), Modifier::BOLD));
-    line.extend(state_counts(structure.alerts.values()));
+    let rules = structure.alerts.values().map(|alert| alert.state);
+    let judgements = structure.judgements.values();
+    let lasting = judgements.filter_map(JudgementDisplay::alert_state);
+    line.extend(state_counts(rules.chain(lasting)));
     line
 }
 

@@ -2,16 +2,17 @@
 
 use super::form::{Form, Typed};
 use super::heard::Heard;
+use super::open_alert::{AlertId, OpenAlert};
 use super::wording::nothing_heard;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
-use spandrel_bus::{AlertMessage, AlertState, Name};
+use spandrel_bus::{AlertState, Name};
 use spandrel_listener::StructureState;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Time for which a notice is shown in the last line.
 const NOTICE_FOR: Duration = Duration::from_secs(8);
-/// Time limit for the alert service to accept an acknowledgement.
+/// Time limit for a service to accept an acknowledgement.
 const ANSWER_WITHIN: Duration = Duration::from_secs(5);
 /// Number of parameters per page key.
 const PAGE: usize = 5;
@@ -28,7 +29,7 @@ pub struct View {
     mode: Mode,
     /// Selection by name, so that a new structure or alert does not move it.
     structure: Option<Name>,
-    alert: Option<(Name, Name)>,
+    alert: Option<AlertId>,
     first_parameter: usize,
     notice: Option<Notice>,
     /// Name of the last acknowledgement, the default for the next one.
@@ -49,8 +50,7 @@ pub struct Around {
 /// An acknowledgement without confirmation. The next state of the alert confirms it.
 #[derive(Debug, Clone)]
 struct Sent {
-    structure: Name,
-    parameter: Name,
+    alert: AlertId,
     state: AlertState,
     is_unseen: bool,
     until: Duration,
@@ -63,8 +63,7 @@ pub enum Mode {
     Watching,
     Help,
     Acknowledging {
-        structure: Name,
-        parameter: Name,
+        alert: AlertId,
         form: Form,
     },
 }
@@ -74,8 +73,7 @@ pub enum Mode {
 pub enum Action {
     Quit,
     Acknowledge {
-        structure: Name,
-        parameter: Name,
+        alert: AlertId,
         who: String,
         note: String,
     },
@@ -125,24 +123,15 @@ impl View {
             Mode::Watching => return self.watching_key(key.code),
             Mode::Help if key.code == KeyCode::Char('q') => return Some(Action::Quit),
             Mode::Help => self.mode = Mode::Watching,
-            Mode::Acknowledging {
-                structure,
-                parameter,
-                form,
-            } => match form.key(key) {
+            Mode::Acknowledging { alert, form } => match form.key(key) {
                 Typed::On => {}
                 Typed::Cancelled => self.mode = Mode::Watching,
                 Typed::Done => {
-                    let (structure, parameter) = (structure.clone(), parameter.clone());
+                    let alert = alert.clone();
                     let (who, note) = (form.who.trim().to_owned(), form.note.trim().to_owned());
                     self.who.clone_from(&who);
                     self.mode = Mode::Watching;
-                    return Some(Action::Acknowledge {
-                        structure,
-                        parameter,
-                        who,
-                        note,
-                    });
+                    return Some(Action::Acknowledge { alert, who, note });
                 }
             },
         }
@@ -185,7 +174,7 @@ impl View {
         let alerts = self.heard.open_alerts();
         let at = self.selected_alert_index(&alerts);
         let chosen = step.within(at, alerts.len()).map(|index| alerts[index]);
-        self.alert = chosen.map(|alert| (alert.structure.clone(), alert.parameter.clone()));
+        self.alert = chosen.map(OpenAlert::id);
     }
 
     fn acknowledge(&mut self) {
@@ -193,28 +182,26 @@ impl View {
             self.notify("no alert to acknowledge".to_owned());
             return;
         };
-        let (structure, parameter) = (alert.structure.clone(), alert.parameter.clone());
+        let (id, state, is_unseen) = (alert.id(), alert.state(), alert.is_unseen());
         if self.heard.is_stale(alert) {
-            self.notify(format!(
-                "cannot acknowledge {structure}/{parameter}: its alert service is gone"
-            ));
+            let service = id.kind.service();
+            self.notify(format!("cannot acknowledge {id}: its {service} is gone"));
             return;
         }
         if let Some(why) = &self.around.cannot_acknowledge {
             self.notify(format!("cannot acknowledge: {why}"));
             return;
         }
-        match alert.state {
-            AlertState::Unconfirmed if !alert.is_unseen() => {
-                self.notify(format!("{structure}/{parameter} is already acknowledged"));
+        match state {
+            AlertState::Unconfirmed if !is_unseen => {
+                self.notify(format!("{id} is already acknowledged"));
             }
             AlertState::Raised
             | AlertState::Unconfirmed
             | AlertState::Cleared
             | AlertState::Pending => {
                 self.mode = Mode::Acknowledging {
-                    structure,
-                    parameter,
+                    alert: id,
                     form: Form::new(self.who.clone()),
                 };
             }
@@ -223,10 +210,8 @@ impl View {
             | AlertState::Normal
             | AlertState::SofteningInMotion
             | AlertState::Undecided => {
-                let state = alert.state.as_str();
-                self.notify(format!(
-                    "{structure}/{parameter} is {state}; nothing to acknowledge"
-                ));
+                let state = state.as_str();
+                self.notify(format!("{id} is {state}; nothing to acknowledge"));
             }
         }
     }
@@ -240,18 +225,14 @@ impl View {
     }
 
     /// Records that an acknowledgement was sent, and shows this until it is accepted.
-    pub fn sent(&mut self, structure: Name, parameter: Name) {
-        let alert = self
-            .heard
-            .structure(&structure)
-            .and_then(|heard| heard.alerts.get(&parameter));
-        let Some((state, is_unseen)) = alert.map(|alert| (alert.state, alert.is_unseen())) else {
+    pub fn sent(&mut self, id: AlertId) {
+        let Some(alert) = self.heard.alert(&id) else {
             return;
         };
-        self.notify(format!("acknowledgement of {structure}/{parameter} sent"));
+        let (state, is_unseen) = (alert.state(), alert.is_unseen());
+        self.notify(format!("acknowledgement of {id} sent"));
         self.sent = Some(Sent {
-            structure,
-            parameter,
+            alert: id,
             state,
             is_unseen,
             until: self.heard.now() + ANSWER_WITHIN,
@@ -262,8 +243,7 @@ impl View {
     /// has passed.
     pub fn check_acknowledgement(&mut self) {
         let Some(Sent {
-            structure,
-            parameter,
+            alert: id,
             state,
             is_unseen,
             until,
@@ -271,23 +251,15 @@ impl View {
         else {
             return;
         };
-        let alert = self
-            .heard
-            .structure(structure)
-            .and_then(|heard| heard.alerts.get(parameter));
-        let told = match alert {
-            Some(now) if now.state != *state => {
-                format!("{structure}/{parameter} is {}", now.state.as_str())
+        let told = match self.heard.alert(id) {
+            Some(now) if now.state() != *state => {
+                format!("{id} is {}", now.state().as_str())
             }
-            Some(now) if now.is_unseen() != *is_unseen => {
-                format!("{structure}/{parameter} is acknowledged")
-            }
+            Some(now) if now.is_unseen() != *is_unseen => format!("{id} is acknowledged"),
             Some(_) | None if self.heard.now() < *until => return,
             Some(_) | None => {
-                format!(
-                    "no reply to the acknowledgement of {structure}/{parameter}; is the alert \
-                     service running?"
-                )
+                let service = id.kind.service();
+                format!("no reply to the acknowledgement of {id}; is the {service} running?")
             }
         };
         self.sent = None;
@@ -339,18 +311,16 @@ impl View {
     }
 
     /// Returns the selected alert, by default the newest.
-    pub fn selected_alert(&self) -> Option<&AlertMessage> {
+    pub fn selected_alert(&self) -> Option<OpenAlert<'_>> {
         let alerts = self.heard.open_alerts();
         self.selected_alert_index(&alerts)
             .map(|index| alerts[index])
     }
 
     /// Returns the index of the selected alert in `alerts`, the open alerts.
-    pub fn selected_alert_index(&self, alerts: &[&AlertMessage]) -> Option<usize> {
+    pub fn selected_alert_index(&self, alerts: &[OpenAlert<'_>]) -> Option<usize> {
         let chosen = self.alert.as_ref();
-        let is_chosen = |alert: &&AlertMessage| {
-            chosen.is_some_and(|(s, p)| (s, p) == (&alert.structure, &alert.parameter))
-        };
+        let is_chosen = |alert: &OpenAlert<'_>| chosen == Some(&alert.id());
         alerts
             .iter()
             .position(is_chosen)
@@ -380,8 +350,12 @@ impl Step {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{alert, at, damaged_tower, heard, name, parameter, present};
+    use super::super::open_alert::AlertKind;
+    use super::super::testing::{
+        alert, at, damaged_tower, heard, lasting_loss, name, parameter, present,
+    };
     use super::*;
+    use spandrel_bus::{ChangeSeen, JudgementDisplay, Service};
     use spandrel_listener::Input;
 
     fn view(heard: Heard) -> View {
@@ -433,8 +407,7 @@ mod tests {
         press(&mut view, [KeyCode::Tab]);
         press(&mut view, letters("seen"));
         let expected = Action::Acknowledge {
-            structure: name("tower"),
-            parameter: name("storey-2"),
+            alert: id(AlertKind::Rule),
             who: "anna".to_owned(),
             note: "seen".to_owned(),
         };
@@ -446,6 +419,53 @@ mod tests {
             "{:?}",
             view.mode()
         );
+    }
+
+    /// Returns the alert of storey 2 of the tower.
+    fn id(kind: AlertKind) -> AlertId {
+        AlertId {
+            kind,
+            structure: name("tower"),
+            part: name("storey-2"),
+        }
+    }
+
+    #[test]
+    fn a_lasting_loss_is_acknowledged_until_the_service_judge_confirms() {
+        let loss = lasting_loss("storey-2");
+        let mut view = view(heard([
+            at(100),
+            present(&[(Service::Judge, "a")]),
+            Input::Judgement(loss.clone()),
+        ]));
+        press(&mut view, [KeyCode::Char('a')]);
+        press(&mut view, letters("anna"));
+        let expected = Action::Acknowledge {
+            alert: id(AlertKind::LastingLoss),
+            who: "anna".to_owned(),
+            note: String::new(),
+        };
+        assert_eq!(press(&mut view, [KeyCode::Enter]), Some(expected));
+        view.sent(id(AlertKind::LastingLoss));
+        view.check_acknowledgement();
+        let sent = "acknowledgement of tower/storey-2 (lasting loss) sent";
+        assert_eq!(view.notice(), Some(sent));
+        let seen = JudgementDisplay {
+            seen: Some(ChangeSeen {
+                who: "anna".to_owned(),
+                text: "acknowledged".to_owned(),
+                time_ns: 0,
+            }),
+            ..loss
+        };
+        view.heard.handle(Input::Judgement(seen), &mut Vec::new());
+        view.check_acknowledgement();
+        let taken = "tower/storey-2 (lasting loss) is acknowledged";
+        assert_eq!(view.notice(), Some(taken));
+        view.heard.handle(present(&[]), &mut Vec::new());
+        press(&mut view, [KeyCode::Char('a')]);
+        let gone = "cannot acknowledge tower/storey-2 (lasting loss): its service judge is gone";
+        assert_eq!(view.notice(), Some(gone));
     }
 
     #[test]
@@ -499,7 +519,7 @@ mod tests {
         let sent = || {
             let mut view = view(damaged_tower());
             view.heard.handle(at(100), &mut Vec::new());
-            view.sent(name("tower"), name("storey-2"));
+            view.sent(id(AlertKind::Rule));
             view.check_acknowledgement();
             assert_eq!(
                 view.notice(),
@@ -538,8 +558,8 @@ mod tests {
             Input::Alert(alert("storey-2", 20, AlertState::Raised)),
         ]));
         assert_eq!(
-            view.selected_alert().unwrap().parameter,
-            name("storey-2"),
+            view.selected_alert().unwrap().part(),
+            &name("storey-2"),
             "the newest until chosen"
         );
         press(&mut view, [KeyCode::Down, KeyCode::Down]);
@@ -547,9 +567,9 @@ mod tests {
             Input::Alert(alert("storey-3", 30, AlertState::Raised)),
             &mut Vec::new(),
         );
-        assert_eq!(view.selected_alert().unwrap().parameter, name("storey-1"));
+        assert_eq!(view.selected_alert().unwrap().part(), &name("storey-1"));
         press(&mut view, [KeyCode::Up, KeyCode::Up, KeyCode::Up]);
-        assert_eq!(view.selected_alert().unwrap().parameter, name("storey-3"));
+        assert_eq!(view.selected_alert().unwrap().part(), &name("storey-3"));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Span;
-use spandrel_bus::{AlertMessage, AlertState, Name, RoundedProbability};
+use spandrel_bus::{AlertState, Name, RoundedProbability};
 use spandrel_listener::StructureState;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -25,9 +25,7 @@ pub fn state_style(state: AlertState) -> Style {
 
 /// Returns the number of alerts in each state, as parts of a title. Normal and learning alerts are
 /// omitted.
-pub fn state_counts<'a>(
-    alerts: impl Iterator<Item = &'a AlertMessage> + Clone,
-) -> Vec<Span<'static>> {
+pub fn state_counts(states: impl Iterator<Item = AlertState> + Clone) -> Vec<Span<'static>> {
     let told = [
         AlertState::Raised,
         AlertState::Unconfirmed,
@@ -39,7 +37,7 @@ pub fn state_counts<'a>(
     ];
     let mut spans = Vec::new();
     for state in told {
-        let count = alerts.clone().filter(|alert| alert.state == state).count();
+        let count = states.clone().filter(|found| *found == state).count();
         if count > 0 {
             spans.push(Span::raw(format!(" · {count} ")));
             spans.push(Span::styled(state.as_str(), state_style(state)));

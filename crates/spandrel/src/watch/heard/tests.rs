@@ -1,4 +1,4 @@
-use super::super::testing::{alert, event, heard, name, parameter};
+use super::super::testing::{alert, event, heard, lasting_loss, name, parameter, present};
 use super::*;
 
 #[test]
@@ -39,9 +39,31 @@ fn open_alerts_are_listed_newest_first() {
     let open: Vec<&str> = heard
         .open_alerts()
         .iter()
-        .map(|alert| alert.parameter.as_str())
+        .map(|alert| alert.part().as_str())
         .collect();
     assert_eq!(open, ["storey-3", "storey-5", "storey-2"]);
+}
+
+/// A quantity has the name of its parameter.
+#[test]
+fn a_lasting_loss_is_listed_beside_the_alert_of_its_parameter() {
+    let mut heard = heard([
+        present(&[(Service::Judge, "a")]),
+        Input::Alert(alert("storey-2", 10, AlertState::Raised)),
+    ]);
+    let mut changes = Vec::new();
+    for _ in 0..2 {
+        let display = lasting_loss("storey-2");
+        heard.handle(Input::Judgement(display), &mut changes);
+    }
+    assert_eq!(changes.len(), 1, "{changes:?}");
+    let open = heard.open_alerts().into_iter();
+    let ids: Vec<String> = open.map(|alert| alert.id().to_string()).collect();
+    assert_eq!(ids, ["tower/storey-2", "tower/storey-2 (lasting loss)"]);
+    let loss = changes[0].alert.clone();
+    assert!(!heard.is_stale(heard.alert(&loss).unwrap()));
+    heard.handle(present(&[]), &mut Vec::new());
+    assert!(heard.is_stale(heard.alert(&loss).unwrap()));
 }
 
 #[test]
