@@ -58,8 +58,7 @@ pub(crate) fn lasting_losses(
     judgements.filter(move |judgement| judgement.alert_state() == Some(state))
 }
 
-/// Returns the lasting changes that alerts do not report. Without a model, also the natural
-/// frequencies that are lost.
+/// Returns the lasting changes. Without a model, also the natural frequencies that are lost.
 pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
     let changed = store.state.judgements.values();
     let changed = changed.filter(|judgement| judgement.change.is_some());
@@ -204,8 +203,7 @@ mod tests {
         );
     }
 
-    /// A lasting change is not an alert, so that the page showed a structure with a model as
-    /// normal.
+    /// Regression test: the page showed a structure with a model as normal.
     #[test]
     fn lasting_change_of_a_structure_with_a_model_is_told() {
         let mut store = demo_with_air();
