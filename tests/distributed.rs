@@ -367,7 +367,11 @@ async fn nodes_publish_waveforms_and_spectra_of_their_own_samples() {
 async fn nodes_publish_no_waveforms_by_default() {
     let site = Site::with(&demo(&[("waveforms = true ", "")]));
     let record = site.simulate(5.0);
-    let _services = site.run();
+    // Ingest would publish waveforms of its own.
+    let station = Process::start(&mut site.listening("fuse"));
+    station.wait_for_log("ready structures=1");
+    let workers = Process::start(&mut site.connecting("identify"));
+    workers.wait_for_log("ready structures=1");
     let bus = site.join().await;
     let mut tokens = bus
         .watch_live(site.keys().all_live(Service::Fuse))
