@@ -1,5 +1,6 @@
-//! The choice of the model: T0, the memories, the scatters and the degrees of freedom.
+//! The choice of the model: T0, r0, the memories, the scatters and the degrees of freedom.
 
+use crate::amplitude::HINGES;
 use crate::day::Day;
 use crate::frost::{FREEZING, KNOTS, ln_prior};
 use crate::inertia::{INERTIAS, Past};
@@ -35,6 +36,7 @@ impl Choice {
             deviation: DEVIATIONS[1],
             freedom: NEARLY_NORMAL,
             usual_epochs: usual_epochs(days),
+            hinge: 0,
         };
         let mut search = Search {
             days,
@@ -54,6 +56,11 @@ impl Choice {
                         structure.memory_days = memory;
                         structure.deviation = deviation;
                     });
+                }
+            }
+            if !search.columns.amplitudes.is_empty() {
+                for hinge in 0..HINGES {
+                    search.try_out(|structure| structure.hinge = hinge);
                 }
             }
             if !frosty {
@@ -116,8 +123,9 @@ impl Search<'_> {
     fn try_out(&mut self, change: impl Fn(&mut Structure)) {
         let mut structure = self.best;
         change(&mut structure);
-        let same_rows =
-            structure.knot == self.best.knot && structure.inertia_days == self.best.inertia_days;
+        let same_rows = structure.knot == self.best.knot
+            && structure.inertia_days == self.best.inertia_days
+            && structure.hinge == self.best.hinge;
         let other_rows =
             (!same_rows).then(|| self.columns.rows(self.days, &structure, self.centre).0);
         let taught = self.fit(&structure, other_rows.as_ref().unwrap_or(&self.rows));

@@ -103,7 +103,7 @@ impl Course {
 
     /// Ends a day and returns its judgement.
     pub(crate) fn end_day(&mut self, frame: Frame<'_>) -> Judgement {
-        let day = self.epochs.take(frame.day);
+        let day = self.epochs.take(frame.day, &frame.settings.conditions);
         let mut judgement = Judgement {
             day: frame.day,
             quantity: frame.quantity.name.clone(),

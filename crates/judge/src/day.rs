@@ -3,8 +3,10 @@
 //! A day is the unit of decision. All regressors enter as means over the same epochs as the
 //! quantity, so that the mean of a linear model is the model of the means.
 
+use crate::amplitude::{PARTS, parts};
 use crate::frost::{DAY_KNOTS, below_all};
 use crate::judgement::DayMeans;
+use crate::settings::{Condition, ConditionKind, indices};
 use serde::{Deserialize, Serialize};
 
 /// Seconds of a day.
@@ -31,14 +33,21 @@ pub(crate) struct Day {
     pub(crate) y: f64,
     /// Mean of each condition, in the scale of the model.
     pub(crate) conditions: Vec<f32>,
-    /// Mean of min(T − T0, 0) (°C) for each condition and each knot.
+    /// Mean of min(T − T0, 0) (°C) for each temperature and each knot.
     pub(crate) below: Vec<[f32; DAY_KNOTS]>,
+    /// Means of equal parts of the epochs, from weak to strong, for each amplitude.
+    pub(crate) amplitudes: Vec<[f32; PARTS]>,
 }
 
 impl Day {
     /// Returns the geometric mean of the quantity, in its unit.
     pub(crate) fn value(&self) -> f64 {
         self.y.exp()
+    }
+
+    /// Returns the mean of min(T − T0, 0) (°C) of each temperature.
+    pub(crate) fn frost(&self, knot: usize) -> impl Iterator<Item = f64> {
+        self.below.iter().map(move |below| f64::from(below[knot]))
     }
 
     /// Returns the means in the units of the quantity and of the conditions.
@@ -80,10 +89,10 @@ impl DayEpochs {
     }
 
     /// Returns the means of the day and starts the next day. `None` if no epoch had the quantity
-    /// and all conditions.
+    /// and all `conditions`.
     ///
     /// Epochs that are far from the others do not count.
-    pub(crate) fn take(&mut self, number: i64) -> Option<Day> {
+    pub(crate) fn take(&mut self, number: i64, conditions: &[Condition]) -> Option<Day> {
         let epochs = std::mem::take(self).kept;
         let middle = median(epochs.iter().map(|(y, _)| *y))?;
         let spread = median(epochs.iter().map(|(y, _)| (y - middle).abs()))?;
@@ -98,6 +107,10 @@ impl DayEpochs {
         let below = |index: usize| {
             std::array::from_fn(|knot| mean(&|values| below_all(values[index])[knot]) as f32)
         };
+        let temperatures = indices(conditions, ConditionKind::is_temperature);
+        let amplitudes = indices(conditions, ConditionKind::is_amplitude);
+        let amplitude =
+            |index: usize| parts(counting.iter().map(|(_, values)| values[index]).collect());
         Some(Day {
             number,
             epochs: counting.len() as u16,
@@ -105,7 +118,8 @@ impl DayEpochs {
             conditions: (0..first.len())
                 .map(|index| mean(&|values| values[index]) as f32)
                 .collect(),
-            below: (0..first.len()).map(below).collect(),
+            below: temperatures.into_iter().map(below).collect(),
+            amplitudes: amplitudes.into_iter().map(amplitude).collect(),
         })
     }
 }

@@ -41,7 +41,7 @@
 //!
 //! Maths:
 //!
-//! - `day`, `frost`, `extremes`, `model`: the mean of a day and its regressors
+//! - `day`, `frost`, `amplitude`, `extremes`, `model`: the mean of a day and its regressors
 //! - `regression`, `choice`: a dynamic linear model with priors in physical units
 //! - `cumulant`, `detector`, `cusum`: the evidence of a lasting step
 //! - `calibration`: the threshold that holds the budget
@@ -67,6 +67,7 @@ mod error;
 mod judgement;
 mod settings;
 
+mod amplitude;
 mod day;
 mod extremes;
 mod frost;

@@ -1,7 +1,7 @@
 //! The regressors of a quantity, and how their coefficients change in time.
 //!
-//! The coefficients are, in this order: the level; the slope of each condition; for each
-//! temperature
+//! The coefficients are, in this order: the level; the slope of each condition, for an amplitude
+//! that above r0; for each temperature
 //!
 //! - the additional slope below T0 (frost), and the change of slope where the frost is complete
 //! - the change of slope at each of two warmer knots
@@ -11,10 +11,11 @@
 //! and the deviation u, which has no measured cause. All have a prior in physical units. The level
 //! wanders slowly, the offsets and the deviation forget.
 
+use crate::amplitude::{HINGES, above, hinges};
 use crate::day::Day;
 use crate::frost::{BENDS, KNOTS, below, zone};
 use crate::inertia::{Interior, Past};
-use crate::settings::{Condition, Quantity};
+use crate::settings::{Condition, ConditionKind, Quantity, indices};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
@@ -57,6 +58,8 @@ pub(crate) struct Structure {
     pub(crate) freedom: f64,
     /// Usual number of epochs of a day.
     pub(crate) usual_epochs: f64,
+    /// Index of r0 among the candidates.
+    pub(crate) hinge: usize,
 }
 
 /// u: changes of ln(value) without a measured cause. They can begin at any time.
@@ -80,6 +83,9 @@ impl Deviation {
 pub(crate) struct Columns {
     /// Index of the temperatures among the conditions.
     pub(crate) temperatures: Vec<usize>,
+    /// Index of the amplitudes among the conditions, and the candidates of r0 of each one.
+    pub(crate) amplitudes: Vec<usize>,
+    pub(crate) hinges: Vec<[f64; HINGES]>,
     /// Prior standard deviation of each coefficient that does not forget.
     prior: DVector<f64>,
     /// Number of the conditions.
@@ -103,9 +109,9 @@ pub(crate) struct Row {
 const PER_TEMPERATURE: usize = 5 + BENDS.len();
 
 impl Columns {
-    pub(crate) fn new(quantity: &Quantity, conditions: &[Condition]) -> Self {
-        let is_temperature = |index: &usize| conditions[*index].kind.is_temperature();
-        let temperatures = (0..conditions.len()).filter(is_temperature).collect();
+    /// Creates the columns of a quantity whose commissioning has these days.
+    pub(crate) fn new(quantity: &Quantity, conditions: &[Condition], days: &[Day]) -> Self {
+        let amplitudes = indices(conditions, ConditionKind::is_amplitude);
         let priors = || conditions.iter().map(|c| c.kind.prior(quantity.kind));
         let slopes = priors().map(|prior| prior.slope);
         let of_temperature = priors().filter_map(|prior| {
@@ -121,7 +127,11 @@ impl Columns {
             .chain(std::iter::once(0.0))
             .collect();
         Self {
-            temperatures,
+            temperatures: indices(conditions, ConditionKind::is_temperature),
+            hinges: (0..amplitudes.len())
+                .map(|place| hinges(days, place))
+                .collect(),
+            amplitudes,
             prior: DVector::from_vec(prior),
             conditions: conditions.len(),
             size: 2.0 * quantity.kind.per_stiffness(),
@@ -217,20 +227,24 @@ impl Columns {
         centre: f64,
     ) -> Row {
         let knot = structure.knot;
-        let today: Vec<Interior> = (self.temperatures.iter())
-            .map(|&index| Interior {
+        let today: Vec<Interior> = (self.temperatures.iter().zip(&day.below))
+            .map(|(&index, below)| Interior {
                 celsius: f64::from(day.conditions[index]),
-                below: f64::from(day.below[index][knot]),
-                zone: zone(&day.below[index], knot),
+                below: f64::from(below[knot]),
+                zone: zone(below, knot),
             })
             .collect();
         let zones = past.follow(day.number, &today, structure.inertia_days);
         let mut x = Vec::with_capacity(self.count());
         x.push(1.0);
         x.extend(day.conditions.iter().map(|value| f64::from(*value)));
-        for (place, &index) in self.temperatures.iter().enumerate() {
+        let hinges = self.hinges.iter().map(|hinges| hinges[structure.hinge]);
+        for ((index, hinge), parts) in self.amplitudes.iter().zip(hinges).zip(&day.amplitudes) {
+            x[1 + index] = above(parts, hinge);
+        }
+        for (place, day_below) in day.below.iter().enumerate() {
             let (today, interior) = (today[place], past.interiors[place]);
-            x.extend([today.below, f64::from(day.below[index][KNOTS.len()])]);
+            x.extend([today.below, f64::from(day_below[KNOTS.len()])]);
             x.extend(BENDS.map(|bend| below(today.celsius, bend)));
             x.push(interior.celsius - today.celsius);
             x.push(interior.below - today.below);
@@ -252,13 +266,6 @@ impl Columns {
         }
         x[self.count() - 1] = 0.0;
         x
-    }
-
-    /// Returns the mean of min(T − T0, 0) (°C) of each temperature.
-    pub(crate) fn frost<'d>(&'d self, day: &'d Day, knot: usize) -> impl Iterator<Item = f64> + 'd {
-        self.temperatures
-            .iter()
-            .map(move |index| f64::from(day.below[*index][knot]))
     }
 
     /// Returns the rows of days in ascending order, and the interior on the last one.

@@ -155,13 +155,14 @@ impl Reference {
             });
         }
         let centre = days.iter().map(|day| day.y).sum::<f64>() / days.len() as f64;
+        let columns = Columns::new(quantity, &settings.conditions, days);
         let Choice {
             columns,
             structure,
             rows,
             past,
             taught,
-        } = Choice::best(Columns::new(quantity, &settings.conditions), days, centre);
+        } = Choice::best(columns, days, centre);
         let Taught {
             posterior,
             residuals,
@@ -233,6 +234,12 @@ impl Reference {
             .row(day, &mut self.past, &self.structure, self.centre)
     }
 
+    /// Returns r0 of each amplitude, log10 of its unit.
+    pub(crate) fn hinges(&self) -> impl Iterator<Item = f64> {
+        let candidates = self.columns.hinges.iter();
+        candidates.map(move |candidates| candidates[self.structure.hinge])
+    }
+
     /// Returns T0 (°C).
     pub(crate) fn knot_celsius(&self) -> f64 {
         KNOTS[self.structure.knot]
@@ -240,7 +247,7 @@ impl Reference {
 
     /// Returns `true` if fewer than five learnt days were as cold as this one.
     pub(crate) fn is_new_frost(&self, day: &Day) -> bool {
-        let frost = self.columns.frost(day, self.structure.knot);
+        let frost = day.frost(self.structure.knot);
         frost.zip(&self.coldest).any(|(depth, coldest)| {
             depth < -FROST_DEPTH
                 && coldest
@@ -265,7 +272,7 @@ impl Reference {
 
     /// Counts a learnt day among the coldest and among the extremes.
     pub(crate) fn remember(&mut self, day: &Day) {
-        let depths: Vec<f64> = self.columns.frost(day, self.structure.knot).collect();
+        let depths: Vec<f64> = day.frost(self.structure.knot).collect();
         for (coldest, depth) in self.coldest.iter_mut().zip(depths) {
             let place = coldest.partition_point(|known| *known <= depth);
             coldest.insert(place, depth);
@@ -342,9 +349,9 @@ fn coverage(series: Series<'_>, sigma: f64) -> f64 {
         if origin < first || !(origin - first).is_multiple_of(ORIGIN_DISTANCE) {
             return;
         }
-        let knows_frost = has_frost(columns, &days[..origin], structure.knot);
+        let knows_frost = has_frost(&days[..origin], structure.knot);
         for (day, row) in days.iter().zip(rows).skip(origin).take(ORIGIN_DISTANCE) {
-            let mut frost = columns.frost(day, structure.knot);
+            let mut frost = day.frost(structure.knot);
             let is_frost = frost.any(|depth| depth < -FROST_DEPTH);
             let expected = Expected::new(columns, structure, known, row);
             if expected.is_unknown || (is_frost && !knows_frost) {
@@ -419,8 +426,8 @@ fn quantile(series: Series<'_>, sigma: f64) -> f64 {
     found.copied().unwrap_or(of_model)
 }
 
-fn has_frost(columns: &Columns, days: &[Day], knot: usize) -> bool {
-    let frosty = |day: &&Day| columns.frost(day, knot).any(|depth| depth < -FROST_DEPTH);
+fn has_frost(days: &[Day], knot: usize) -> bool {
+    let frosty = |day: &&Day| day.frost(knot).any(|depth| depth < -FROST_DEPTH);
     days.iter().filter(frosty).count() >= FROST_DAYS
 }
 

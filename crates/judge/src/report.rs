@@ -35,6 +35,8 @@ pub struct ReferenceReport {
     pub correlation: f64,
     /// T0 of the frost hinge (°C), if a condition is a temperature.
     pub frost_knot: Option<f64>,
+    /// r0 of each amplitude, in its unit: the quantity depends on the amplitude above it only.
+    pub amplitude_hinges: Vec<f64>,
     /// Whether the commissioning contained at least five days of frost, if a condition is a
     /// temperature.
     pub knows_frost: Option<bool>,
@@ -83,6 +85,7 @@ impl QuantityReport {
                     scatter: reference.columns.scatter(&reference.structure, sigma),
                     correlation: reference.columns.correlation(&reference.structure, sigma),
                     frost_knot: has_temperature.then(|| reference.knot_celsius()),
+                    amplitude_hinges: reference.hinges().map(|a| 10_f64.powf(a)).collect(),
                     knows_frost: has_temperature.then(|| reference.knows_frost()),
                     coefficients: reference.posterior.mean.iter().copied().collect(),
                     ln_threshold: reference.ln_threshold,

@@ -43,7 +43,8 @@ pub enum ConditionKind {
     Kelvin,
     /// Temperature (°F).
     Fahrenheit,
-    /// Root mean square of the response, in any unit: the quantity depends on its logarithm.
+    /// Root mean square of the response, in any unit. Above some amplitude, the quantity depends on
+    /// its logarithm.
     Amplitude,
     /// Any other covariate, with the standard deviation of the relative change of the stiffness
     /// per unit.
@@ -57,7 +58,7 @@ pub enum ConditionKind {
 const TEMPERATURE_SLOPE: f64 = 0.003;
 /// Prior standard deviation of the additional slope of ln(frequency) in frost (1/°C): 3 %/°C.
 const FROST_SLOPE: f64 = 0.03;
-/// Prior standard deviation of the change of ln(frequency) per decade of amplitude.
+/// Prior standard deviation of the change of ln(frequency) per decade of amplitude above r0.
 const AMPLITUDE_SLOPE: f64 = 0.5;
 /// Lowest and highest plausible temperature of a structure (°C).
 pub const PLAUSIBLE_CELSIUS: (f64, f64) = (-60.0, 80.0);
@@ -75,6 +76,10 @@ impl ConditionKind {
     #[must_use]
     pub fn is_temperature(self) -> bool {
         matches!(self, Self::Celsius | Self::Kelvin | Self::Fahrenheit)
+    }
+
+    pub(crate) fn is_amplitude(self) -> bool {
+        matches!(self, Self::Amplitude)
     }
 
     /// Converts a value to the scale of the model: °C, log10 of the amplitude, or unchanged.
@@ -155,6 +160,13 @@ pub struct Condition {
     pub name: String,
     /// What the condition measures, and in which unit its values arrive.
     pub kind: ConditionKind,
+}
+
+/// Returns the indices of the conditions of a kind.
+pub(crate) fn indices(conditions: &[Condition], is: fn(ConditionKind) -> bool) -> Vec<usize> {
+    let indices = conditions.iter().enumerate();
+    let of_kind = indices.filter(|(_, condition)| is(condition.kind));
+    of_kind.map(|(index, _)| index).collect()
 }
 
 /// Settings of the judgement of one structure.

@@ -263,6 +263,9 @@ fn reference_text(quantity: &str, reference: &ReferenceReport) -> String {
         (Some(_), _) => text.push_str("  the commissioning has fewer than five days of frost\n"),
         (None, _) => {}
     }
+    for hinge in &reference.amplitude_hinges {
+        let _ = writeln!(text, "  the amplitude has an effect above {hinge:.2e}");
+    }
     let _ = writeln!(
         text,
         "  false alarms per year: {} promised, {} in simulated years",

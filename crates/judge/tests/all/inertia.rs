@@ -1,9 +1,9 @@
 //! A massive structure: its interior follows the air within days, and only the air has a
 //! thermometer.
 
-use crate::support::{coverage, describe, first_alarm, judge, settings};
+use crate::support::{coverage, describe, first_alarm, judge, noise, settings};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use spandrel_judge::{Epoch, Judgement, State};
 
 const DAY_S: f64 = 86_400.0;
@@ -15,11 +15,6 @@ const LAYERS: usize = 8;
 /// the wall is about five days.
 const PASSES: f64 = 0.4;
 const STEPS_PER_EPOCH: u32 = 4;
-
-fn noise(random: &mut ChaCha8Rng) -> f64 {
-    let uniform = |_| f64::from(random.next_u32()) / f64::from(u32::MAX);
-    (0..12).map(uniform).sum::<f64>() - 6.0
-}
 
 /// Returns the epochs of a wall whose stiffness falls by 0.2 % per degree of its mean temperature.
 fn wall(seed: u64, days: u32) -> Vec<Epoch> {

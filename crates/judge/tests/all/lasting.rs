@@ -1,19 +1,13 @@
 //! What remains of a loss: an alarm stays, and a gain counts from the commissioning.
 
-use crate::support::{describe, judge, settings};
+use crate::support::{describe, judge, noise, settings};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use spandrel_judge::{Epoch, Finding, Judge, Judgement, State};
 
 const DAY_S: f64 = 86_400.0;
 const COMMISSIONING_DAYS: u32 = 365;
 const PER_DAY: u32 = 4;
-
-/// Returns the sum of twelve uniform numbers, less its mean. Its standard deviation is 1.
-fn noise(random: &mut ChaCha8Rng) -> f64 {
-    let uniform = |_| f64::from(random.next_u32()) / f64::from(u32::MAX);
-    (0..12).map(uniform).sum::<f64>() - 6.0
-}
 
 /// Judges a frequency under a deck with seasons, weather and a deviation without a measured cause.
 /// `stiffness` is the share of the sound stiffness on a day.

@@ -7,6 +7,7 @@
     reason = "a test that fails panics"
 )]
 
+mod amplitude;
 mod inertia;
 mod lasting;
 mod state;

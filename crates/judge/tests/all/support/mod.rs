@@ -1,5 +1,7 @@
 //! Settings for the tests, and what they read in the judgements.
 
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::Rng;
 use spandrel_judge::{
     Condition, ConditionKind, Epoch, Judge, Judgement, Quantity, QuantityKind, Season, Settings,
     State,
@@ -27,6 +29,12 @@ pub fn settings(quantities: &[&str], conditions: &[&str], commissioning_days: u3
             })
             .collect(),
     }
+}
+
+/// Returns the sum of twelve uniform numbers, less its mean. Its standard deviation is 1.
+pub fn noise(random: &mut ChaCha8Rng) -> f64 {
+    let uniform = |_| f64::from(random.next_u32()) / f64::from(u32::MAX);
+    (0..12).map(uniform).sum::<f64>() - 6.0
 }
 
 /// Judges all epochs.
