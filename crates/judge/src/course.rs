@@ -5,11 +5,12 @@ use crate::cusum;
 use crate::day::{Day, DayEpochs};
 use crate::detector::{Detector, Evidence, StepEstimate};
 use crate::judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
-use crate::model::Row;
+use crate::model::{Explanation, Row};
 use crate::present::{DayChange, LatestChanges};
 use crate::reference::{Expected, Missing, Reference};
 use crate::regression::{Posterior, weight};
 use crate::settings::{Quantity, Settings};
+use crate::thermometers::budget_share;
 use serde::{Deserialize, Serialize};
 
 /// Days between attempts to learn the reference after a commissioning that was not ready.
@@ -74,10 +75,28 @@ pub(crate) struct Frame<'s> {
     pub(crate) quantity: &'s Quantity,
     /// Index of the quantity, from which the seed of its calibration follows.
     pub(crate) index: usize,
+    /// Name of the quantity that serves as a thermometer in this course.
+    pub(crate) thermometer: Option<&'s str>,
     /// Number of the day that is over.
     pub(crate) day: i64,
     /// Why the day has no statement, if it has none for a condition.
     pub(crate) absence: Option<&'s Absence>,
+}
+
+impl<'s> Frame<'s> {
+    /// Returns what explains the quantity.
+    pub(crate) fn explanation(self) -> Explanation<'s> {
+        Explanation {
+            conditions: &self.settings.conditions,
+            thermometer: self.thermometer,
+        }
+    }
+
+    /// Returns the number of false alarms that this course may raise in a year.
+    pub(crate) fn per_year(self) -> f64 {
+        let share = self.settings.false_alarms_per_year / self.settings.quantities.len() as f64;
+        share * budget_share(self.quantity.thermometers.len())
+    }
 }
 
 impl Course {
@@ -103,7 +122,7 @@ impl Course {
 
     /// Ends a day and returns its judgement.
     pub(crate) fn end_day(&mut self, frame: Frame<'_>) -> Judgement {
-        let day = self.epochs.take(frame.day, &frame.settings.conditions);
+        let day = self.epochs.take(frame.day, frame.explanation());
         let mut judgement = Judgement {
             day: frame.day,
             quantity: frame.quantity.name.clone(),
@@ -170,8 +189,7 @@ impl Commissioning {
             let missing = missing.clone();
             return Err(absence.unwrap_or(State::NotReady { missing }));
         }
-        let seed = frame.index as u64;
-        match Reference::learn(&self.days, frame.quantity, frame.settings, seed) {
+        match Reference::learn(&self.days, frame) {
             Ok(reference) => Ok(Judging::new(reference, frame)),
             Err(missing) => {
                 self.missing = Some((missing.clone(), frame.day));
@@ -184,13 +202,12 @@ impl Commissioning {
 impl Judging {
     fn new(reference: Reference, frame: Frame<'_>) -> Self {
         let settings = frame.settings;
-        let share = settings.false_alarms_per_year / settings.quantities.len() as f64;
         let unit = -frame.quantity.kind.per_stiffness() * (1.0 - settings.loss).ln();
         Self {
             adaptive: reference.posterior.clone(),
             detector: Detector::new(unit),
             cusum: 0.0,
-            cusum_threshold: cusum::threshold(365.25 / share),
+            cusum_threshold: cusum::threshold(365.25 / frame.per_year()),
             last_day: reference.to_day,
             latest: LatestChanges::default(),
             reference,
@@ -423,8 +440,7 @@ impl Judging {
         let was_raised = 0.5 * (raised[0] + raised[1]);
         change.may_have_recovered =
             raised[0] > 0.0 && change.interval[0] <= 0.0 && change.loss < 0.5 * was_raised;
-        let has_grown = change.interval[0] > raised[1] && change.loss >= 2.0 * was_raised;
-        if known.finding.is_alarm() && has_grown {
+        if known.finding.is_alarm() && has_grown(&change, raised) {
             change.found_day = frame.day;
             raised = change.interval;
         }
@@ -488,6 +504,13 @@ fn change(present: StepEstimate, per_stiffness: f64, found_day: i64) -> Change {
             .map(|quantile| loss(size + quantile * std, per_stiffness)),
         may_have_recovered: false,
     }
+}
+
+/// Returns `true` if a loss certainly exceeds the one that was `raised` with this interval, and is
+/// twice as large.
+pub(crate) fn has_grown(change: &Change, raised: [f64; 2]) -> bool {
+    let was_raised = 0.5 * (raised[0] + raised[1]);
+    change.interval[0] > raised[1] && change.loss >= 2.0 * was_raised
 }
 
 /// Returns the loss of stiffness (share) of a change of ln(value).

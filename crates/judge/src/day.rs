@@ -6,7 +6,8 @@
 use crate::amplitude::{PARTS, parts};
 use crate::frost::{DAY_KNOTS, below_all};
 use crate::judgement::DayMeans;
-use crate::settings::{Condition, ConditionKind, indices};
+use crate::model::Explanation;
+use crate::settings::{ConditionKind, indices};
 use serde::{Deserialize, Serialize};
 
 /// Seconds of a day.
@@ -89,15 +90,25 @@ impl DayEpochs {
     }
 
     /// Returns the means of the day and starts the next day. `None` if no epoch had the quantity
-    /// and all `conditions`.
+    /// and everything that explains it.
     ///
     /// Epochs that are far from the others do not count.
-    pub(crate) fn take(&mut self, number: i64, conditions: &[Condition]) -> Option<Day> {
+    pub(crate) fn take(&mut self, number: i64, explanation: Explanation<'_>) -> Option<Day> {
+        let Explanation {
+            conditions,
+            thermometer,
+        } = explanation;
         let epochs = std::mem::take(self).kept;
-        let middle = median(epochs.iter().map(|(y, _)| *y))?;
-        let spread = median(epochs.iter().map(|(y, _)| (y - middle).abs()))?;
-        let farthest = (FARTHEST * ROBUST * spread).max(SMALLEST_DISTANCE);
-        let counts = |epoch: &&(f64, Vec<f64>)| (epoch.0 - middle).abs() <= farthest;
+        let of_quantity = Near::new(epochs.iter().map(|(y, _)| *y))?;
+        let of_thermometer = match thermometer {
+            Some(_) => Near::new(epochs.iter().map(|(_, values)| values[conditions.len()])),
+            None => None,
+        };
+        let counts = |epoch: &&(f64, Vec<f64>)| {
+            let (y, values) = epoch;
+            let is_same_mode = |near: Near| near.contains(values[conditions.len()]);
+            of_quantity.contains(*y) && of_thermometer.is_none_or(is_same_mode)
+        };
         let counting: Vec<_> = epochs.iter().filter(counts).collect();
         let (_, first) = counting.first()?;
         let count = counting.len() as f64;
@@ -121,6 +132,29 @@ impl DayEpochs {
             below: temperatures.into_iter().map(below).collect(),
             amplitudes: amplitudes.into_iter().map(amplitude).collect(),
         })
+    }
+}
+
+/// The values of a day that belong to one mode.
+#[derive(Debug, Clone, Copy)]
+struct Near {
+    median: f64,
+    farthest: f64,
+}
+
+impl Near {
+    /// Returns `None` without values.
+    fn new(values: impl Iterator<Item = f64> + Clone) -> Option<Self> {
+        let middle = median(values.clone())?;
+        let spread = median(values.map(|value| (value - middle).abs()))?;
+        Some(Self {
+            median: middle,
+            farthest: (FARTHEST * ROBUST * spread).max(SMALLEST_DISTANCE),
+        })
+    }
+
+    fn contains(self, value: f64) -> bool {
+        (value - self.median).abs() <= self.farthest
     }
 }
 

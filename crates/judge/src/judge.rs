@@ -1,13 +1,14 @@
 //! The state machine: epochs in, one judgement per quantity and day out.
 
 use crate::condition_watch::{ConditionWatch, Doubt};
-use crate::course::{Course, Frame};
+use crate::course::Frame;
 use crate::day::DAY_S;
 use crate::epoch::Epoch;
 use crate::error::JudgeError;
 use crate::judgement::{Absence, Judgement};
 use crate::report::QuantityReport;
 use crate::settings::Settings;
+use crate::thermometers::QuantityCourse;
 use serde::{Deserialize, Serialize};
 
 /// Times outside these years are mistakes (s since 1970-01-01 UTC).
@@ -38,7 +39,7 @@ pub struct Judge {
     day: Option<i64>,
     watches: Vec<ConditionWatch>,
     absence: Option<Absence>,
-    courses: Vec<Course>,
+    courses: Vec<QuantityCourse>,
     /// New references that start after the last epoch, in the order of time.
     awaited: Vec<NewReference>,
 }
@@ -55,7 +56,7 @@ impl Judge {
             day: None,
             watches: vec![ConditionWatch::default(); settings.conditions.len()],
             absence: None,
-            courses: settings.quantities.iter().map(|_| Course::new()).collect(),
+            courses: courses(&settings),
             awaited: Vec::new(),
             settings,
         })
@@ -113,9 +114,18 @@ impl Judge {
         let Some(conditions) = self.conditions(epoch) else {
             return Ok(());
         };
-        for (course, value) in self.courses.iter_mut().zip(&epoch.quantities) {
-            if let Some(value) = value.filter(|value| value.is_finite() && *value > 0.0) {
-                course.epochs.add(value.ln(), &conditions);
+        let usable = |value: &f64| value.is_finite() && *value > 0.0;
+        let values = epoch.quantities.iter();
+        let logarithms: Vec<Option<f64>> = values
+            .map(|value| value.filter(usable).map(f64::ln))
+            .collect();
+        let declared = logarithms.iter().zip(&self.settings.quantities);
+        let stiffnesses: Vec<Option<f64>> = declared
+            .map(|(y, quantity)| Some((*y)? / quantity.kind.per_stiffness()))
+            .collect();
+        for (course, y) in self.courses.iter_mut().zip(&logarithms) {
+            if let Some(y) = y {
+                course.add(*y, &conditions, &stiffnesses);
             }
         }
         Ok(())
@@ -138,9 +148,16 @@ impl Judge {
     }
 
     fn forget(&mut self, quantity: Option<usize>) {
-        let courses = self.courses.iter_mut().enumerate();
-        let concerned = courses.filter(|(index, _)| quantity.is_none_or(|of| of == *index));
-        concerned.for_each(|(_, course)| *course = Course::new());
+        match quantity {
+            None => self.courses = courses(&self.settings),
+            Some(index) => {
+                self.stop(index);
+                let declared = self.settings.quantities.get(index);
+                if let (Some(course), Some(quantity)) = (self.courses.get_mut(index), declared) {
+                    *course = QuantityCourse::new(quantity, &self.settings);
+                }
+            }
+        }
         // A thermometer that was moved has jumped for all quantities.
         if quantity.is_none() || self.courses.len() == 1 {
             self.watches.fill(ConditionWatch::default());
@@ -210,14 +227,40 @@ impl Judge {
 
     fn end_day(&mut self, day: i64, judgements: &mut Vec<Judgement>) {
         let absence = self.absence.take();
-        for (index, course) in self.courses.iter_mut().enumerate() {
-            judgements.push(course.end_day(Frame {
+        // Thermometers come first. A change that is raised on this day counts at once.
+        let mut order: Vec<usize> = (0..self.courses.len()).collect();
+        order.sort_by_key(|index| !self.settings.quantities[*index].thermometers.is_empty());
+        let mut of_day = Vec::with_capacity(order.len());
+        for index in order {
+            let judgement = self.courses[index].end_day(Frame {
                 settings: &self.settings,
                 quantity: &self.settings.quantities[index],
                 index,
+                thermometer: None,
                 day,
                 absence: absence.as_ref(),
-            }));
+            });
+            if judgement.raised {
+                self.stop(index);
+            }
+            of_day.push((index, judgement));
+        }
+        of_day.sort_by_key(|(index, _)| *index);
+        judgements.extend(of_day.into_iter().map(|(_, judgement)| judgement));
+    }
+
+    /// Takes note that a quantity has changed or has a new reference.
+    fn stop(&mut self, quantity: usize) {
+        for course in &mut self.courses {
+            course.stop(quantity);
         }
     }
+}
+
+/// Returns the courses of all quantities, without a reference.
+fn courses(settings: &Settings) -> Vec<QuantityCourse> {
+    let quantities = settings.quantities.iter();
+    quantities
+        .map(|quantity| QuantityCourse::new(quantity, settings))
+        .collect()
 }

@@ -69,6 +69,9 @@ pub enum Absence {
     Frozen(String),
     /// The values of a thermometer have jumped and have not returned.
     Jumped(String),
+    /// All quantities that serve as thermometers have changed, or have a new reference. Their
+    /// names, with commas.
+    Changed(String),
 }
 
 /// A lasting change that was found. It remains until a new reference starts.
@@ -252,6 +255,10 @@ impl Judgement {
                 Absence::Jumped(condition) => format!(
                     "{name} is not judged, because {condition} has jumped from one epoch to the \
                      next and has not gone back. Check the thermometer."
+                ),
+                Absence::Changed(quantities) => format!(
+                    "{name} is not judged, because its thermometers {quantities} have changed or \
+                     have a new reference. It needs a new reference."
                 ),
             },
         }

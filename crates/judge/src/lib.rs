@@ -13,7 +13,11 @@
 //!     loss: 0.02,
 //!     commissioning_days: 100,
 //!     season: Season::Required,
-//!     quantities: vec![Quantity { name: "f1".to_owned(), kind: QuantityKind::Frequency }],
+//!     quantities: vec![Quantity {
+//!         name: "f1".to_owned(),
+//!         kind: QuantityKind::Frequency,
+//!         thermometers: Vec::new(),
+//!     }],
 //!     conditions: vec![Condition { name: "deck".to_owned(), kind: ConditionKind::Celsius }],
 //! };
 //! let mut judge = Judge::new(settings)?;
@@ -50,6 +54,7 @@
 //!
 //! - `reference`: what the commissioning has taught, or what is missing
 //! - `course`: the history of one quantity, day by day
+//! - `thermometers`: the histories of a quantity that other quantities explain
 //! - [`Judge`]: the state machine of a structure, without clock, log or I/O
 //!
 //! # Notation
@@ -89,6 +94,7 @@ mod course;
 mod judge;
 mod reference;
 mod report;
+mod thermometers;
 
 pub use budget::{Budget, Spent};
 pub use calibration::{Delay, Performance};
@@ -102,5 +108,5 @@ pub use reference::Missing;
 pub use report::{QuantityReport, ReferenceReport, season_warning};
 pub use settings::{
     Condition, ConditionKind, Implausible, PLAUSIBLE_CELSIUS, Quantity, QuantityKind, Season,
-    Settings,
+    Settings, ThermometerMistake,
 };

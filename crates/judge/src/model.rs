@@ -1,7 +1,8 @@
 //! The regressors of a quantity, and how their coefficients change in time.
 //!
 //! The coefficients are, in this order: the level; the slope of each condition, for an amplitude
-//! that above r0; for each temperature
+//! that above r0; the slope of the thermometer, if another quantity serves as one; for each
+//! temperature
 //!
 //! - the additional slope below T0 (frost), and the change of slope where the frost is complete
 //! - the change of slope at each of two warmer knots
@@ -15,7 +16,7 @@ use crate::amplitude::{HINGES, above, hinges};
 use crate::day::Day;
 use crate::frost::{BENDS, KNOTS, below, zone};
 use crate::inertia::{Interior, Past};
-use crate::settings::{Condition, ConditionKind, Quantity, indices};
+use crate::settings::{Condition, ConditionKind, Quantity, indices, thermometer_prior};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
@@ -39,6 +40,21 @@ pub(crate) const MEMORIES: [f64; 2] = [10.0, 40.0];
 pub(crate) const DEVIATIONS: [f64; 3] = [0.003, 0.006, 0.012];
 /// Share of the variance of a day that its epochs have each for itself.
 const EPOCH_SHARE: f64 = 0.5;
+
+/// What explains a quantity.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Explanation<'s> {
+    pub(crate) conditions: &'s [Condition],
+    /// Name of the quantity that serves as a thermometer. Its ln(stiffness) follows the conditions.
+    pub(crate) thermometer: Option<&'s str>,
+}
+
+impl Explanation<'_> {
+    /// Returns the number of values that explain the quantity.
+    pub(crate) fn count(self) -> usize {
+        self.conditions.len() + usize::from(self.thermometer.is_some())
+    }
+}
 
 /// What the days before the judgement decide about the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -88,8 +104,10 @@ pub(crate) struct Columns {
     pub(crate) hinges: Vec<[f64; HINGES]>,
     /// Prior standard deviation of each coefficient that does not forget.
     prior: DVector<f64>,
-    /// Number of the conditions.
+    /// Number of the conditions, with the thermometer.
     conditions: usize,
+    /// Mean ln(stiffness) of the thermometer in the commissioning.
+    thermometer_mean: Option<f64>,
     /// Size of changes of ln(value) relative to those of ln(frequency).
     size: f64,
 }
@@ -110,10 +128,14 @@ const PER_TEMPERATURE: usize = 5 + BENDS.len();
 
 impl Columns {
     /// Creates the columns of a quantity whose commissioning has these days.
-    pub(crate) fn new(quantity: &Quantity, conditions: &[Condition], days: &[Day]) -> Self {
+    pub(crate) fn new(quantity: &Quantity, explanation: Explanation<'_>, days: &[Day]) -> Self {
+        let conditions = explanation.conditions;
         let amplitudes = indices(conditions, ConditionKind::is_amplitude);
         let priors = || conditions.iter().map(|c| c.kind.prior(quantity.kind));
-        let slopes = priors().map(|prior| prior.slope);
+        let of_thermometer = explanation
+            .thermometer
+            .map(|_| thermometer_prior(quantity.kind));
+        let slopes = priors().chain(of_thermometer).map(|prior| prior.slope);
         let of_temperature = priors().filter_map(|prior| {
             let frost = prior.frost?;
             let mut stds = vec![frost, frost];
@@ -133,7 +155,13 @@ impl Columns {
                 .collect(),
             amplitudes,
             prior: DVector::from_vec(prior),
-            conditions: conditions.len(),
+            conditions: explanation.count(),
+            thermometer_mean: explanation.thermometer.map(|_| {
+                let values = days
+                    .iter()
+                    .map(|day| f64::from(day.conditions[conditions.len()]));
+                values.sum::<f64>() / days.len().max(1) as f64
+            }),
             size: 2.0 * quantity.kind.per_stiffness(),
         }
     }
@@ -241,6 +269,9 @@ impl Columns {
         let hinges = self.hinges.iter().map(|hinges| hinges[structure.hinge]);
         for ((index, hinge), parts) in self.amplitudes.iter().zip(hinges).zip(&day.amplitudes) {
             x[1 + index] = above(parts, hinge);
+        }
+        if let Some(mean) = self.thermometer_mean {
+            x[self.conditions] -= mean; // the last one, after the level
         }
         for (place, day_below) in day.below.iter().enumerate() {
             let (today, interior) = (today[place], past.interiors[place]);

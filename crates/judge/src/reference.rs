@@ -2,6 +2,7 @@
 
 use crate::calibration::{Calibration, Performance, Steps};
 use crate::choice::Choice;
+use crate::course::Frame;
 use crate::cumulant::Cumulant;
 use crate::day::Day;
 use crate::extremes::Extremes;
@@ -9,7 +10,7 @@ use crate::frost::KNOTS;
 use crate::inertia::Past;
 use crate::model::{Columns, DEVIATIONS, Deviation, Row, Structure};
 use crate::regression::{Posterior, Series, Taught, weight};
-use crate::settings::{Quantity, Season, Settings};
+use crate::settings::{Season, Settings};
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -126,12 +127,11 @@ impl Reference {
     ///
     /// # Errors
     /// The data do not suffice for a reference. The error states the reason.
-    pub(crate) fn learn(
-        days: &[Day],
-        quantity: &Quantity,
-        settings: &Settings,
-        seed: u64,
-    ) -> Result<Self, Missing> {
+    pub(crate) fn learn(days: &[Day], frame: Frame<'_>) -> Result<Self, Missing> {
+        let Frame {
+            settings, quantity, ..
+        } = frame;
+        let explanation = frame.explanation();
         let (from_day, to_day) = span(days);
         let spans = (to_day - from_day + 1).max(0);
         // Without a temperature, a season looks like a lasting change.
@@ -155,7 +155,7 @@ impl Reference {
             });
         }
         let centre = days.iter().map(|day| day.y).sum::<f64>() / days.len() as f64;
-        let columns = Columns::new(quantity, &settings.conditions, days);
+        let columns = Columns::new(quantity, explanation, days);
         let Choice {
             columns,
             structure,
@@ -194,13 +194,13 @@ impl Reference {
             steps: &Steps::new(&columns, &structure, &posterior, &conditions),
             unit: -quantity.kind.per_stiffness() * (1.0 - settings.loss).ln(),
             deviation: deviation(&columns, &structure, spans),
-            seed,
+            seed: frame.index as u64,
         };
-        let share = settings.false_alarms_per_year / settings.quantities.len() as f64;
-        let (ln_threshold, performance) = calibration.run(share, quantity.kind.per_stiffness());
+        let per_stiffness = quantity.kind.per_stiffness();
+        let (ln_threshold, performance) = calibration.run(frame.per_year(), per_stiffness);
         let mut reference = Self {
             coldest: vec![Vec::new(); columns.temperatures.len()],
-            extremes: vec![Extremes::default(); settings.conditions.len()],
+            extremes: vec![Extremes::default(); explanation.count()],
             columns,
             structure,
             past,
@@ -226,6 +226,11 @@ impl Reference {
     pub(crate) fn deviation(&self) -> Deviation {
         let days = self.to_day - self.from_day + 1;
         deviation(&self.columns, &self.structure, days)
+    }
+
+    /// Returns the standard deviation of a day under known conditions, in ln(value).
+    pub(crate) fn scatter(&self) -> f64 {
+        self.columns.scatter(&self.structure, self.posterior.sigma)
     }
 
     /// Returns the row of the next day.

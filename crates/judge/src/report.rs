@@ -1,9 +1,9 @@
 //! Report of a reference: its rate of false alarms, and the changes that it can detect.
 
 use crate::calibration::Performance;
-use crate::course::Course;
 use crate::judgement::Finding;
 use crate::reference::{Missing, YEAR_DAYS};
+use crate::thermometers::QuantityCourse;
 use serde::{Deserialize, Serialize};
 
 /// State of the judgement of one quantity: its reference, or why there is none, and its finding.
@@ -73,7 +73,7 @@ impl ReferenceReport {
 }
 
 impl QuantityReport {
-    pub(crate) fn new(name: &str, course: &Course) -> Self {
+    pub(crate) fn new(name: &str, course: &QuantityCourse) -> Self {
         let (reference, missing) = match course.reference() {
             Ok(reference) => {
                 let has_temperature = !reference.columns.temperatures.is_empty();
@@ -82,7 +82,7 @@ impl QuantityReport {
                     from_day: reference.from_day,
                     to_day: reference.to_day,
                     coverage: reference.coverage,
-                    scatter: reference.columns.scatter(&reference.structure, sigma),
+                    scatter: reference.scatter(),
                     correlation: reference.columns.correlation(&reference.structure, sigma),
                     frost_knot: has_temperature.then(|| reference.knot_celsius()),
                     amplitude_hinges: reference.hinges().map(|a| 10_f64.powf(a)).collect(),

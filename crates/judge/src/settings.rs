@@ -31,6 +31,19 @@ pub struct Quantity {
     pub name: String,
     /// What the quantity measures: a natural frequency or a stiffness.
     pub kind: QuantityKind,
+    /// Other quantities that serve as thermometers of this one: none, or at least
+    /// [`Settings::FEWEST_THERMOMETERS`]. They have no thermometers themselves.
+    #[serde(default)]
+    pub thermometers: Vec<String>,
+}
+
+/// A mistake in a list of thermometers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ThermometerMistake {
+    /// What the list contains.
+    pub found: String,
+    /// What it must contain.
+    pub allowed: String,
 }
 
 /// What a condition measures, and in which unit its values arrive.
@@ -60,6 +73,9 @@ const TEMPERATURE_SLOPE: f64 = 0.003;
 const FROST_SLOPE: f64 = 0.03;
 /// Prior standard deviation of the change of ln(frequency) per decade of amplitude above r0.
 const AMPLITUDE_SLOPE: f64 = 0.5;
+/// Prior standard deviation of the relative change of the stiffness per relative change of the
+/// stiffness of a thermometer. Members of one structure have materials of a similar sensitivity.
+const THERMOMETER_SLOPE: f64 = 1.0;
 /// Lowest and highest plausible temperature of a structure (°C).
 pub const PLAUSIBLE_CELSIUS: (f64, f64) = (-60.0, 80.0);
 
@@ -119,6 +135,14 @@ impl ConditionKind {
                 frost: None,
             },
         }
+    }
+}
+
+/// Returns the prior of a quantity of some kind that another quantity explains.
+pub(crate) fn thermometer_prior(kind: QuantityKind) -> SlopePrior {
+    SlopePrior {
+        slope: kind.per_stiffness() * THERMOMETER_SLOPE,
+        frost: None,
     }
 }
 
@@ -210,8 +234,62 @@ impl Settings {
     pub const COMMISSIONING_DAYS: u32 = 365;
     /// Shortest and longest commissioning (days).
     pub const COMMISSIONING_RANGE: (u32, u32) = (20, 400);
-    /// Maximum number of conditions, which limits the size of the state.
+    /// Maximum number of conditions and thermometers of a quantity, which limits the size of the
+    /// state.
     pub const MOST_CONDITIONS: usize = 3;
+    /// Smallest number of thermometers. A change of a single one could not be distinguished from a
+    /// change of the quantity.
+    pub const FEWEST_THERMOMETERS: usize = 2;
+
+    /// Returns the first mistake in the thermometers of a quantity.
+    #[must_use]
+    pub fn thermometer_mistake(&self, quantity: &Quantity) -> Option<ThermometerMistake> {
+        let named = &quantity.thermometers;
+        let (fewest, conditions) = (Self::FEWEST_THERMOMETERS, self.conditions.len());
+        if named.is_empty() {
+            return None;
+        }
+        let mistake = |found: String, allowed: String| Some(ThermometerMistake { found, allowed });
+        for (place, name) in named.iter().enumerate() {
+            let others = self
+                .quantities
+                .iter()
+                .filter(|one| one.name != quantity.name);
+            let Some(other) = others.clone().find(|other| other.name == *name) else {
+                let others: Vec<&str> = others.map(|other| other.name.as_str()).collect();
+                return mistake(
+                    format!("contains \"{name}\""),
+                    format!("must contain other quantities: {}", others.join(", ")),
+                );
+            };
+            if named[..place].contains(name) {
+                return mistake(format!("repeats \"{name}\""), "must be unique".to_owned());
+            }
+            // This also excludes quantities that are thermometers of each other.
+            if !other.thermometers.is_empty() {
+                return mistake(
+                    format!("contains \"{name}\", which has thermometers itself"),
+                    "must contain quantities without thermometers".to_owned(),
+                );
+            }
+        }
+        if named.len() < fewest {
+            return mistake(
+                format!("has {} name", named.len()),
+                format!(
+                    "must have at least {fewest}, because a change of a single thermometer cannot \
+                     be distinguished from a change of the quantity"
+                ),
+            );
+        }
+        if named.len() + conditions > Self::MOST_CONDITIONS {
+            return mistake(
+                format!("has {} names beside {conditions} conditions", named.len()),
+                format!("must be at most {} together", Self::MOST_CONDITIONS),
+            );
+        }
+        None
+    }
 
     /// Checks the ranges.
     ///
@@ -243,7 +321,11 @@ impl Settings {
                 self.commissioning_days
             ))
         } else {
-            None
+            self.quantities.iter().find_map(|quantity| {
+                let ThermometerMistake { found, allowed } = self.thermometer_mistake(quantity)?;
+                let name = &quantity.name;
+                Some(format!("list of thermometers of {name} {found}, {allowed}"))
+            })
         };
         problem.map_or(Ok(()), |what| Err(JudgeError::Setting { what }))
     }

@@ -34,6 +34,7 @@ pub(crate) fn plan() -> JudgePlan {
     let quantity = |name: &str| Quantity {
         name: name.to_owned(),
         kind: QuantityKind::Stiffness,
+        thermometers: Vec::new(),
     };
     JudgePlan {
         settings: Settings {

@@ -97,6 +97,7 @@ fn settings(modes: &[&str], temperatures: &[&str], commissioning_days: u32) -> S
     let quantity = |name: &&str| Quantity {
         name: (*name).to_owned(),
         kind: QuantityKind::Frequency,
+        thermometers: Vec::new(),
     };
     let condition = |name: &&str| Condition {
         name: (*name).to_owned(),

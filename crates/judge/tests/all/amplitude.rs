@@ -14,11 +14,11 @@ const FALL: f64 = 0.04;
 /// Days of the storms that follow the commissioning.
 const STORMS: std::ops::Range<f64> = 450.0..490.0;
 
-/// Returns the epochs of a frequency that depends on an amplitude only. One of 20 days has a storm, and
-/// every day of `STORMS`. `stiffness` is the share of the sound stiffness on a day.
+/// Returns the epochs of a frequency that depends on an amplitude only. One of 20 days has a storm,
+/// and every day of `STORMS`. `stiffness` is the share of the sound stiffness on a day.
 fn epochs(seed: u64, days: u32, stiffness: impl Fn(f64) -> f64) -> Vec<Epoch> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let (mut deviation, mut storm) = (0.0, None);
+    let (mut deviation, mut storm) = (0.0_f64, None);
     let epoch = |index: u32| {
         let day = f64::from(index) / f64::from(PER_DAY);
         if index.is_multiple_of(PER_DAY) {

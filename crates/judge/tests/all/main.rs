@@ -12,3 +12,4 @@ mod inertia;
 mod lasting;
 mod state;
 mod support;
+mod thermometers;

@@ -130,6 +130,7 @@ fn read_quantity(mut table: Section<'_>) -> Option<Entry<Quantity>> {
         item: Quantity {
             name: name.get_ref().clone(),
             kind,
+            thermometers: Vec::new(),
         },
         name,
     })

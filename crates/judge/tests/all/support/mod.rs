@@ -19,6 +19,7 @@ pub fn settings(quantities: &[&str], conditions: &[&str], commissioning_days: u3
             .map(|name| Quantity {
                 name: (*name).to_owned(),
                 kind: QuantityKind::Frequency,
+                thermometers: Vec::new(),
             })
             .collect(),
         conditions: conditions
