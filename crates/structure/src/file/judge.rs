@@ -3,7 +3,10 @@
 use super::check_unique;
 use crate::judge_plan::JudgePlan;
 use crate::section::{Allowed, Section};
-use spandrel_judge::{Condition, ConditionKind, Quantity, QuantityKind, Season, Settings};
+use spandrel_judge::{
+    Condition, ConditionKind, Quantity, QuantityKind, Season, Settings, ThermometerMistake,
+};
+use std::ops::Range;
 use toml::Spanned;
 
 /// Values of `judge.quantity.is`.
@@ -79,6 +82,10 @@ pub(super) fn read_judge(section: Option<Section<'_>>) -> Option<JudgePlan> {
             "must be given: [[judge.quantity]] names what is judged",
         );
     }
+    let lists: Vec<Range<usize>> = tables
+        .iter()
+        .map(|table| table.span_of("thermometers"))
+        .collect();
     let quantities: Vec<_> = tables.into_iter().map(read_quantity).collect();
     let tables = section.tables("condition");
     if tables.len() > Settings::MOST_CONDITIONS {
@@ -94,10 +101,11 @@ pub(super) fn read_judge(section: Option<Section<'_>>) -> Option<JudgePlan> {
     let of_conditions = conditions.iter().flatten().map(|entry| entry.name.clone());
     let names: Vec<Spanned<String>> = of_quantities.chain(of_conditions).collect();
     check_unique(&section, "judge", &names);
+    let diagnostics = section.diagnostics();
     section.finish();
     let quantities: Vec<Entry<Quantity>> = quantities.into_iter().collect::<Option<_>>()?;
     let conditions: Vec<Entry<Condition>> = conditions.into_iter().collect::<Option<_>>()?;
-    Some(JudgePlan {
+    let plan = JudgePlan {
         quantity_columns: quantities
             .iter()
             .map(|entry| entry.column.clone())
@@ -116,13 +124,22 @@ pub(super) fn read_judge(section: Option<Section<'_>>) -> Option<JudgePlan> {
         },
         epoch_s,
         time_column,
-    })
+    };
+    for (quantity, list) in plan.settings.quantities.iter().zip(lists) {
+        if let Some(mistake) = plan.settings.thermometer_mistake(quantity) {
+            let ThermometerMistake { found, allowed } = mistake;
+            diagnostics.report(list, "judge.quantity.thermometers", found, allowed);
+        }
+    }
+    Some(plan)
 }
 
 fn read_quantity(mut table: Section<'_>) -> Option<Entry<Quantity>> {
     let name = table.required_name("name");
     let kind = table.required_choice("is", &QUANTITIES);
     let column = table.text("column");
+    let thermometers = table.names("thermometers").map(Spanned::into_inner);
+    let thermometers = thermometers.into_iter().flatten();
     table.finish();
     let (name, kind) = (name?, kind?.into_inner());
     Some(Entry {
@@ -130,7 +147,7 @@ fn read_quantity(mut table: Section<'_>) -> Option<Entry<Quantity>> {
         item: Quantity {
             name: name.get_ref().clone(),
             kind,
-            thermometers: Vec::new(),
+            thermometers: thermometers.map(Spanned::into_inner).collect(),
         },
         name,
     })

@@ -1,5 +1,5 @@
 use crate::{JudgedStructure, StructureError};
-use spandrel_judge::{ConditionKind, QuantityKind, Season};
+use spandrel_judge::{ConditionKind, Quantity, QuantityKind, Season};
 use std::path::Path;
 
 const FILE: &str = r#"
@@ -87,6 +87,76 @@ fn every_mistake_names_file_line_and_allowed_values() {
     ] {
         let found = mistakes(from, to);
         assert!(found.contains(said), "{to}\n{found}");
+    }
+}
+
+/// Three modes. The first one has a list of thermometers, on line 12.
+fn with_thermometers(list: &str, of_second: &str) -> String {
+    let mode =
+        |name: &str| format!("\n[[judge.quantity]]\nname = \"{name}\"\nis = \"frequency\"\n");
+    let second = mode("second") + of_second;
+    let first = FILE.replace("column = \"f1_hz\"", &format!("thermometers = {list}"));
+    first + &second + &mode("third") + &mode("fourth")
+}
+
+#[test]
+fn other_quantities_serve_as_thermometers() {
+    let structure = parse(&with_thermometers("[\"second\", \"third\"]", "")).unwrap();
+    let quantities = &structure.plan.settings.quantities;
+    assert_eq!(quantities[0].thermometers, ["second", "third"]);
+    assert!(quantities[1].thermometers.is_empty());
+    let structure = parse(&with_thermometers("[]", "")).unwrap();
+    assert!(
+        structure.plan.settings.quantities[0]
+            .thermometers
+            .is_empty()
+    );
+}
+
+/// The service `judge` has recorded such settings.
+#[test]
+fn a_quantity_of_a_former_version_has_no_thermometers() {
+    let text = r#"{"name":"first-mode","kind":"frequency"}"#;
+    let quantity: Quantity = serde_json::from_str(text).unwrap();
+    assert!(quantity.thermometers.is_empty());
+}
+
+#[test]
+fn every_wrong_list_of_thermometers_is_named_with_its_line() {
+    for (list, of_second, said) in [
+        (
+            "[\"second\", \"deck\"]",
+            "",
+            "bridge.toml:12: judge.quantity.thermometers: contains \"deck\", must contain other \
+             quantities: second, third, fourth",
+        ),
+        (
+            "[\"first-mode\", \"second\"]",
+            "",
+            "contains \"first-mode\", must contain other quantities",
+        ),
+        ("[\"second\"]", "", "has 1 name, must have at least 2"),
+        (
+            "[\"second\", \"second\"]",
+            "",
+            "repeats \"second\", must be unique",
+        ),
+        (
+            "[\"second\", \"third\", \"fourth\"]",
+            "",
+            "has 3 names beside 1 conditions, must be at most 3 together",
+        ),
+        (
+            "[\"second\", \"third\"]",
+            "thermometers = [\"first-mode\", \"third\"]\n",
+            "contains \"second\", which has thermometers itself, must contain quantities without",
+        ),
+        ("\"second\"", "", "must be a list of names"),
+        ("[\"a b\", \"second\", \"third\"]", "", "bridge.toml:12: "),
+    ] {
+        let found = parse(&with_thermometers(list, of_second));
+        let found = found.expect_err(list).to_string();
+        assert!(found.contains(said), "{list}\n{found}");
     }
 }
 
