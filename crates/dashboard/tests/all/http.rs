@@ -784,7 +784,11 @@ async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
         (200, json!({"sent": true, "state": "acknowledged"}))
     );
     assert_eq!(
-        (annotation.effect, annotation.quantity, annotation.why()),
+        (
+            annotation.effect,
+            annotation.quantity.clone(),
+            annotation.why()
+        ),
         (
             AnnotationEffect::Seen,
             Some(name("storey-2")),
