@@ -179,6 +179,13 @@ async fn a_print_of_each_tab_is_complete() {
              one.getBoundingClientRect().right)].filter((right) => right > 680)"
         );
         assert_eq!(browser.evaluate(&wide).await, json!([]), "{tab} is cut off");
+        // Regression test: tables were printed over what follows, and room was left below plots.
+        let misfits = format!(
+            "[...document.querySelectorAll('#panel-{tab} :is(.scroll, .plot-holder)')].filter((one) \
+             => {{ const {{ maxHeight, minHeight }} = getComputedStyle(one); \
+             return one.matches('.scroll') ? maxHeight !== 'none' : minHeight !== '0px'; }}).length"
+        );
+        assert_eq!(browser.evaluate(&misfits).await, 0, "{tab} in print");
         // Regression test: a print did not name its tab, and contained controls.
         let titled = format!(
             "[document.querySelector('h1').innerText === `demo – \

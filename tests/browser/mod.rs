@@ -248,6 +248,11 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         .evaluate("[...document.querySelectorAll('table.nodes th[scope=col]')].length")
         .await;
     assert_eq!(heads, 7);
+    // Regression: the table was cut through a row, although the page below was empty.
+    let cut = "(() => { const { scrollHeight, clientHeight } = \
+               document.querySelector('.scroll:has(.nodes)'); return scrollHeight - \
+               clientHeight; })()";
+    assert_eq!(browser.evaluate(cut).await, 0, "the table is cut off");
     // Names must not break at hyphens, and the lines of different nodes must look different.
     let in_one_line = "(name) => { const text = document.createRange(); \
                        text.selectNodeContents(name); return new \
@@ -294,6 +299,15 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         .evaluate("document.querySelector('#group-nodes').scrollIntoView()")
         .await;
     browser.screenshot("nodes-phone").await;
+    // Regression: the time of an exclusion was printed over that of the last message.
+    let covered = "[...document.querySelectorAll('table.nodes tbody tr')].filter((row) => { \
+                   const [since, last] = [3, 4].map((column) => { \
+                   const text = document.createRange(); \
+                   text.selectNodeContents(row.children[column]); \
+                   return text.getBoundingClientRect(); }); \
+                   return Math.max(since.right, last.right) > innerWidth || \
+                   (since.right > last.left && since.bottom > last.top); }).length";
+    assert_eq!(browser.evaluate(covered).await, 0, "a time is covered");
     let width = browser
         .evaluate("document.documentElement.scrollWidth")
         .await;
@@ -837,6 +851,19 @@ async fn a_phone_shows_it_without_scrolling_aside(browser: &mut Browser) {
             .await;
         assert_eq!(width, 390, "{address} is wider than the phone");
     }
+    // Regression: the bars were out of line, because their numbers differ in length.
+    browser.evaluate("location.hash = '#/structure/demo'").await;
+    browser
+        .wait(
+            "the table of the parts",
+            "document.querySelector('#panel-now .parameters .meter')",
+        )
+        .await;
+    let places = "(() => { const bars = [...document.querySelectorAll('.parameters .meter')]; \
+                  bars.forEach((bar, row) => { bar.hidden = false; \
+                  bar.nextSibling.textContent = row === 0 ? '> 99.9 %' : '2.0 %'; }); \
+                  return new Set(bars.map((bar) => bar.getBoundingClientRect().left)).size; })()";
+    assert_eq!(browser.evaluate(places).await, 1, "bars out of line");
     browser.resize(1280, 900).await;
 }
 
@@ -849,6 +876,16 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
         )
         .await;
     browser.screenshot("alerts-light").await;
+    // Regression: the change to raised looked like a second alarm.
+    browser
+        .wait(
+            "a past change that does not look like an alarm",
+            "(() => { const [now, past] = ['.alerts:not(.past)', '.past'].map((list) => \
+             document.querySelector(`${list} > .alert[data-level=alarm]`)); return now && past && \
+             getComputedStyle(now).backgroundColor !== getComputedStyle(past).backgroundColor; \
+             })()",
+        )
+        .await;
     browser
         .evaluate("document.querySelector('.alert[data-state=raised] .acknowledge').focus()")
         .await;

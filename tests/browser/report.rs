@@ -179,6 +179,21 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
                  >= Number(words.previousSibling.getAttribute('y1')))";
     assert_eq!(browser.evaluate(below).await, json!(vec![true; 5]));
 
+    // Regression: the last time was cut off at the edge of the paper.
+    let beyond = "import('/chart.js').then(({ chart }) => {
+        const [from_s, to_s] = [1599955200 - 2 * 86400, 1599955200];
+        const columns = [[from_s, to_s], [1, 1], [0, 0]];
+        const drawn = chart({ columns, from_s, to_s, range: [0, 2], label: '' });
+        drawn.style.width = '360px';
+        document.body.append(drawn);
+        const right = (one) => one.getBoundingClientRect().right;
+        const ends = [...drawn.querySelectorAll('.time')].map(right);
+        const most = Math.max(...ends) - right(drawn);
+        drawn.remove();
+        return [ends.length >= 5, most <= 2];
+      })";
+    assert_eq!(browser.evaluate(beyond).await, json!([true, true]));
+
     // In print, the form and the bar are hidden, and colours are those of paper.
     let print = json!({"media": "print"});
     browser.call("Emulation.setEmulatedMedia", print).await;

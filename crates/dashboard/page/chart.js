@@ -86,7 +86,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
   const { times: ticks, texts } = roundTimes(from_s, to_s, width > WIDTH ? MOST_TIMES_WIDE : MOST_TIMES);
   ticks.forEach((time, index) => {
     svg.append(s("line", { class: "grid", x1: x(time), x2: x(time), y1: top, y2: bottom }));
-    String(texts[index]).split("\n").forEach((text, row) => svg.append(s("text", { class: "time", x: x(time), y: bottom + 12 + 11 * row }, text)));
+    String(texts[index]).split("\n").forEach((text, row) => svg.append(s("text", { class: "time", x: Math.min(x(time), width - (CHARACTER * text.length) / 2), y: bottom + 12 + 11 * row }, text)));
   });
   for (const rows of pieces(times, means)) {
     if (!hasPoints || rows.length > 1) {

@@ -305,7 +305,7 @@ export class Plot {
       axes: [
         across
           ? { ...xAxis, space: isNarrow ? 50 : 70, values: (_, ticks) => ticks.map(labelOf(isLogarithmicX)), label: across, labelSize: 18 }
-          : { ...xAxis, incrs: TIME_STEPS, space: isNarrow ? (this.plot.at ? 86 : 70) : 90, values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("axis-time", zone(u.scales.x.max))), labelSize: 18 },
+          : { ...xAxis, incrs: TIME_STEPS, space: (_, axis, min, max) => (!isNarrow ? 90 : this.plot.at ? 86 : narrowSpace(min, max)), values: (_, splits, index, space, step) => timeTicks(splits, step), label: (u) => (this.plot.isSinceStart ? t("time-since-the-start-h-min-s") : isWithoutDate(u.scales.x.max) ? t("time-of-the-record-h-min-s") : t("axis-time", zone(u.scales.x.max))), labelSize: 18 },
         { ...yAxis, label: this.plot.unit, labelSize: 20, space: 24, size: (_, values) => Math.max(isNarrow ? 54 : 62, CHARACTER * Math.max(0, ...(values ?? []).map((text) => text?.length ?? 0)) + 16), values: (_, ticks) => ticks.map((tick) => this.plot.tick?.(tick) ?? labelOf(isLogarithmicY)(tick)) },
       ],
       series: [{}, ...this.plot.series().map((one) => ({ points: { show: false }, ...one }))],
@@ -429,6 +429,17 @@ export function padded(_, least, largest) {
   if (least === null || largest === null || !Number.isFinite(least)) return [0, 1];
   const room = Math.max((largest - least) * 0.08, Math.abs(largest) * 0.01, 1e-12);
   return [least - room, largest + room];
+}
+
+/**
+ * Returns the smallest distance of two times on a narrow axis (px). Two dates and fractions of a second are
+ * the longest, and times of one day without seconds are the shortest.
+ */
+function narrowSpace(min, max) {
+  if (isWithoutDate(max)) return 70;
+  const length_s = max - min;
+  if (length_s < 10 || moment(min).date !== moment(max).date) return 86;
+  return length_s < 10 * MINUTE_S - 1 ? 60 : 48;
 }
 
 /**

@@ -2,10 +2,12 @@
 
 import { grouped, h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { COLUMNS, count, lag, natural, number, unit } from "./words.js";
+import { COLUMNS, count, lag, natural, number, unit, wordOf } from "./words.js";
 
 /** Maximum number of parameters with one prior, or of noise levels with one value, that are named. */
 const MOST_NAMED = 8;
+/** Length of a text above which it has a row of its own. */
+const LONG = 60;
 
 /** Returns what identifies the structure. */
 function identification({ is_filtered: isFiltered, has_model: hasModel, distributed }) {
@@ -29,7 +31,7 @@ export class SettingsTab {
     const scroll = (label) => ({ class: "scroll", tabindex: "0", role: "region", "aria-label": label });
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", { "data-head": COLUMNS.rules[column] }, text))));
     const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`]));
-    const fact = (title, text) => h("div", { class: "fact" }, h("dt", {}, title), h("dd", {}, text));
+    const fact = (title, text) => h("div", { class: text.length > LONG ? "fact fact-long" : "fact" }, h("dt", {}, title), h("dd", {}, text));
     // Many parameters have few different priors.
     const priors = grouped(about.parameters, ({ prior }) => prior.join()).map((equal) => `${equal[0].prior.map(number).join(" ± ")}: ${listed(equal, (size) => t("many-parameters", size))}`);
     const levels = grouped(about.noise.toSorted((a, b) => natural(a.name, b.name)), ({ std, unit: of }) => `${std} ${of}`);
@@ -68,8 +70,10 @@ export class SettingsTab {
       const cells = COLUMNS.services.map((_, column) => (column === 0 ? h("th", { scope: "row" }) : h("td", { "data-head": COLUMNS.services[column] })));
       return { element: h("tr", {}, cells), cells };
     };
-    keyed(this.services, services, (service) => `${service.service}/${service.id}`, make, ({ cells }, { service, id, present, lag_s, status }) => {
-      const drops = Object.entries(status?.drops ?? {}).map(([reason, count]) => `${reason} ${count}`);
+    // The services keep their order, and the instances of each have their natural one.
+    const sorted = grouped(services, ({ service }) => service).flatMap((of) => of.toSorted((a, b) => natural(a.id, b.id)));
+    keyed(this.services, sorted, (service) => `${service.service}/${service.id}`, make, ({ cells }, { service, id, present, lag_s, status }) => {
+      const drops = Object.entries(status?.drops ?? {}).map(([reason, dropped]) => `${wordOf(reason)}: ${count(dropped)}`);
       const texts = [service === id ? service : `${service} ${id}`, present ? t("service-alive") : t("service-gone"), lag(lag_s), status ? count(status.done) : "–", drops.join(", ") || t("nothing")];
       texts.forEach((text, column) => setText(cells[column], text));
     });
