@@ -253,6 +253,11 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
                document.querySelector('.scroll:has(.nodes)'); return scrollHeight - \
                clientHeight; })()";
     assert_eq!(browser.evaluate(cut).await, 0, "the table is cut off");
+    // A station publishes nothing that the tab of the model shows.
+    let model = browser
+        .evaluate("document.getElementById('tab-model')")
+        .await;
+    assert_eq!(model, Value::Null);
     // Names must not break at hyphens, and the lines of different nodes must look different.
     let in_one_line = "(name) => { const text = document.createRange(); \
                        text.selectNodeContents(name); return new \

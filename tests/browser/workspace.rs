@@ -317,11 +317,38 @@ async fn five_hundred_structures_are_on_a_map_and_in_a_list_that_can_be_searched
         &mut browser,
         &demo,
         "#/",
-        "an alarm with the line of the last day",
-        "document.querySelector('.structure-card[data-level=alarm] \
-         .trend:not([hidden])')?.getAttribute('aria-label').includes('over the last day')",
+        "an alarm, and the values of the last day",
+        "document.querySelector('.structure-card[data-level=alarm]') && \
+         performance.getEntriesByType('resource').some(({ name }) => name.includes('points=96'))",
     )
     .await;
+    // Regression: the line of two minutes was a stray dot.
+    let shown = "document.querySelector('.trend').checkVisibility()";
+    assert_eq!(browser.evaluate(shown).await, false);
+    // The page receives the values of a whole day.
+    let day = "(() => {
+        const load = globalThis.fetch;
+        globalThis.fetch = async (address, ...more) => {
+          if (!/history\\?.*points=96/.test(address)) return load(address, ...more);
+          const from_s = Number(new URLSearchParams(address.split('?')[1]).get('from'));
+          const times = Array.from({ length: 96 }, (_, index) => from_s + 900 * (index + 1));
+          const data = [times, times.map((_, index) => 1 - index / 1000)];
+          return { ok: true, json: async () => ({ incomplete: false, series: [{ data }] }) };
+        };
+        location.hash = '#/alerts';
+      })()";
+    browser.evaluate(day).await;
+    browser
+        .wait("the alerts", "document.querySelector('.alerts-page')")
+        .await;
+    browser.evaluate("location.hash = '#/'").await;
+    browser
+        .wait(
+            "the line of the last day",
+            "document.querySelector('.structure-card[data-level=alarm] \
+             .trend:not([hidden])')?.getAttribute('aria-label').includes('over the last day')",
+        )
+        .await;
     // Regression test: the line kept its light colours after a switch to dark.
     let colours = "(() => { const canvas = document.querySelector('.trend'); const { data } = \
                    canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height); const \

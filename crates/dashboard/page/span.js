@@ -114,7 +114,7 @@ export class Points {
   #hasEstimates = false;
 
   /**
-   * With `isThin`, at most `count` points are kept, also of live data, as for a small plot. With
+   * With `isThin`, at most `count` points are kept, also of live data, as for waveforms. With
    * `isEnvelope`, a kept point has the extremes of those left out. Otherwise it is the last one.
    */
   constructor(structure, span, { count = POINTS, isThin = false, isEnvelope = false } = {}) {

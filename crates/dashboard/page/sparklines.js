@@ -13,8 +13,8 @@ const REFRESH_MS = 300_000;
 const RETRY_MS = 30_000;
 /** Smallest span of values that fills the height, as a ratio to the design. */
 const LEAST_SPAN = 0.05;
-/** Width below which a line would be a vertical stroke, so that only its dot is drawn (px). */
-const LEAST_WIDTH = 4;
+/** Length of the data below which a line is not shown (s). It would be a vertical stroke or a dot. */
+const LEAST_S = DAY_S / 20;
 /** Radius of the dot at the newest value (px). */
 const DOT = 2;
 
@@ -58,7 +58,7 @@ export class Sparklines {
     if (incomplete) line.at = performance.now() - REFRESH_MS + RETRY_MS;
     const [times, means] = series[0]?.data ?? [[], []];
     const rows = times.map((_, row) => row).filter((row) => means[row] !== null);
-    canvas.hidden = rows.length < 2;
+    canvas.hidden = rows.length < 2 || times[rows.at(-1)] - times[rows[0]] < LEAST_S;
     if (canvas.hidden) return;
     const values = rows.map((row) => means[row]);
     canvas.setAttribute("aria-label", t("over-the-last-day-from-to-of", parameter, fixed(Math.min(...values), 3), fixed(Math.max(...values), 3)));
@@ -69,7 +69,7 @@ export class Sparklines {
   }
 }
 
-/** Draws values at their shares of the day. A dot marks the newest one, so that little data is visible too. */
+/** Draws values at their shares of the day. A dot marks the newest one. */
 function draw(canvas, shares, values) {
   const { ctx, width, height } = cleared(canvas);
   const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -78,7 +78,7 @@ function draw(canvas, shares, values) {
   ctx.beginPath();
   const x = (index) => 1 + Math.min(shares[index], 1) * (width - 2 - DOT);
   const y = (index) => height - 1 - DOT - ((values[index] - low + room) / (high - low + 2 * room)) * (height - 2 - 2 * DOT);
-  if (x(shares.length - 1) - x(0) >= LEAST_WIDTH) shares.forEach((_, index) => ctx.lineTo(x(index), y(index)));
+  shares.forEach((_, index) => ctx.lineTo(x(index), y(index)));
   ctx.stroke();
   ctx.beginPath();
   ctx.arc(x(shares.length - 1), y(shares.length - 1), DOT, 0, 2 * Math.PI);

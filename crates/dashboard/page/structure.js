@@ -126,7 +126,8 @@ export class StructurePage {
       changed: () => this.#remember(),
     };
     const { is_filtered: isFiltered } = this.about;
-    this.tabs = [new NowTab(page), ...(this.about.has_model ? [new ParametersTab(page)] : []), ...(this.about.parameters.length + this.about.modes.length > 0 ? [new CompareTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(isFiltered ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
+    // A station publishes neither residuals nor noise levels, nor a verdict on the fit.
+    this.tabs = [new NowTab(page), ...(this.about.has_model ? [new ParametersTab(page)] : []), ...(this.about.parameters.length + this.about.modes.length > 0 ? [new CompareTab(page)] : []), ...(this.about.judged.length > 0 ? [new LastingTab(page)] : []), ...(isFiltered && !this.about.distributed ? [new ModelTab(page)] : []), new SensorsTab(page), new EventsTab(page), new SettingsTab(page)];
     if (!this.#current) this.tab = "now"; // the address names a tab that this structure lacks
     this.bar = new Tabs(this.tabs.map(({ key, element }) => ({ key, element, title: TABS[key] })), t("views-of", this.name), (key) => this.#open(key));
     this.ranges = new RangeBar(this.span, () => this.points.csv(this.#current.names ?? [...new Set(this.#current.plots.flatMap(({ plot }) => plot.names))]), {

@@ -127,7 +127,8 @@ export class WaveformPoints {
 
   constructor(structure, span, recording, options = {}) {
     Object.assign(this, { structure, span, recording });
-    this.kept = new Points(structure, span, { ...options, isEnvelope: true });
+    // Live points are as far apart as those of the past. Otherwise the curve would change its look.
+    this.kept = new Points(structure, span, { ...options, isThin: true, isEnvelope: true });
   }
 
   columns(name) {
