@@ -37,6 +37,16 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
     assert_eq!(browser.evaluate(broken).await, json!([]), "broken times");
     let times = "document.querySelectorAll('.attention .whole').length";
     assert!(browser.evaluate(times).await.as_u64().unwrap() >= 2);
+    // Regression: the figures of the sentence had no date, and differed from those of the table.
+    for tab in ["parameters", "now"] {
+        let dated = format!(
+            "(() => {{ document.getElementById('tab-{tab}').click(); \
+             const line = document.querySelector('.attention .dated'); \
+             return line.checkVisibility() && /^Time of the figures: 20.* \
+             UTC\\.$/.test(line.textContent); }})()"
+        );
+        assert_eq!(browser.evaluate(&dated).await, true, "{tab}");
+    }
     let newest = "fetch('/api/structures').then((answer) => answer.json()).then(({ structures }) \
                   => structures[0].time_s - Date.now() / 1000)";
     let ahead = browser.evaluate(newest).await.as_f64().unwrap();
@@ -558,7 +568,7 @@ async fn sensors_events_and_settings_are_tables() {
         .wait(
             "a comparison with the others",
             &format!(
-                "/^[\\d.]+ times, \\d+ ms (before|after)$/.test({})",
+                "/^[\\d.]+ × their motion, (in step|\\d+ ms (earlier|later))$/.test({})",
                 cell(5)
             ),
         )

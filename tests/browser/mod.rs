@@ -284,7 +284,10 @@ async fn nodes_with_their_own_filters_are_in_a_table() {
         .await;
     for (column, shape) in [
         (2, r"^[\d.]+ \([\d.]+\)$"),
-        (3, r"^\d{4}-\d\d-\d\d .* UTC \(\d+ % recently\)$"),
+        (
+            3,
+            r"^\d{4}-\d\d-\d\d .* UTC \(in \d+ % of recent fusions\)$",
+        ),
         (4, r"^\d{4}-\d\d-\d\d .* UTC$"),
         (5, r"^[\d.]+ kB$"),
         (6, r"^[\d.]+ kB$"),

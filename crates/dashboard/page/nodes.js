@@ -2,7 +2,7 @@
 
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
-import { NODES, bytes, number, percent, time } from "./words.js";
+import { NODES, bytes, distanceWords, percent, setSentence, time } from "./words.js";
 
 const HEADS = [t("node"), t("state"), t("distance-limit"), t("excluded-since"), t("last-message"), t("sent-by-node"), t("sent-to-node")];
 
@@ -39,8 +39,8 @@ export class NodeTable {
     setText(cells[0], node.node);
     setText(cells[1], `${state.sign} ${state.word}${since}`);
     const counts = node.weight !== null && node.weight > 0 && node.weight < 1 ? t("weight", percent(node.weight, 0)) : "";
-    setText(cells[2], node.distance === null ? "–" : `${number(node.distance)}${node.distance_limit === null ? "" : ` (${number(node.distance_limit)})`}${counts}`);
-    setText(cells[3], `${seconds(node.excluded_since_ns)}${share}`);
+    setText(cells[2], node.distance === null ? "–" : `${distanceWords(node.distance)}${node.distance_limit === null ? "" : ` (${distanceWords(node.distance_limit)})`}${counts}`);
+    setSentence(cells[3], `${seconds(node.excluded_since_ns)}${share}`);
     setText(cells[4], seconds(node.heard_ns));
     setText(cells[5], bytes(node.bytes_received));
     setText(cells[6], bytes(node.bytes_sent));

@@ -2,7 +2,7 @@
 
 import { t } from "./language.js";
 import { COLOURS, Plot, css, look, padded } from "./plot.js";
-import { AXES, STATES, isOpen, judgedEstimate, number, openWords, percent, probability, ratio, unit } from "./words.js";
+import { AXES, STATES, distanceWords, isOpen, judgedEstimate, number, openWords, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
 const HALF_WIDTHS = [
@@ -301,8 +301,13 @@ export function nodePlot(nodes, points, span) {
       unit: AXES.distance,
       names,
       rows: (columns) => aligned(names.map((name) => columns.get(name))),
-      series: () => [...names.map((_, index) => line(index, { width: 1.5 })), { stroke: () => css("--alarm"), width: 2, dash: [6, 4] }],
-      readout: (data, at) => nodes.map((name, index) => [name, data[index + 1][at]]).filter(([, distance]) => distance !== null).sort((a, b) => b[1] - a[1]).slice(0, 4).map(([name, distance]) => `${name} ${number(distance)}`).join(" · "),
+      // The limit is constant. Its mark is the line, and its series only keeps it in view.
+      series: () => [...names.map((_, index) => line(index, { width: 1.5 })), edge],
+      marks: () => {
+        const limits = names.map((name) => points.columns(name)?.[2].findLast((limit) => limit != null));
+        return limits.filter((limit) => limit !== undefined).slice(0, 1).map((y) => ({ y, text: t("limit"), colour: "--alarm" }));
+      },
+      readout: (data, at) => nodes.map((name, index) => [name, data[index + 1][at]]).filter(([, distance]) => distance !== null).sort((a, b) => b[1] - a[1]).slice(0, 4).map(([name, distance]) => `${name} ${distanceWords(distance)}`).join(" · "),
     },
     points,
     span,

@@ -253,7 +253,7 @@ function section({ about, overview, standing, changes, events: known, log }, { f
   // Without the history, an empty list is not known to be complete.
   const lacks = whatLogLacks(log);
   const events = (list, text) => (list.length === 0 ? (log.isRead ? none(text) : null) : table(COLUMNS.events.slice(0, 3), list.slice(-MOST_EVENTS).map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
-  const left = (list) => [...(list.length > MOST_EVENTS ? [t("earlier-events-not-shown", list.length - MOST_EVENTS)] : []), ...(lacks ? [lacks] : [])].map((text) => sentence(none(text), text));
+  const left = (list, lack) => [list.length > MOST_EVENTS ? t("earlier-events-not-shown", list.length - MOST_EVENTS) : "", lack].filter(Boolean).map((text) => sentence(none(text), text));
   return h(
     "article",
     { class: "report-structure", "data-structure": about.name, "data-level": overview.level },
@@ -261,13 +261,13 @@ function section({ about, overview, standing, changes, events: known, log }, { f
     h("p", { class: "description" }, where.join(" · ")),
     h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
     isLate ? lateNotice(again) : null,
-    part(t("alerts-in-the-period"), events(alerts, t("no-alert")), left(alerts), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
+    part(t("alerts-in-the-period"), events(alerts, t("no-alert")), left(alerts, lacks), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
     about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), series && parameterCharts(about, standing, changes, series, shown)) : null,
     about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), series && charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
     about.judged.length > 0 ? part(t("lasting-change"), standing.judgements.length === 0 ? none(t("the-service-judge-has-not-reported-yet")) : h("ul", { class: "sensor-list" }, standing.judgements.map(({ sentence: text }) => sentence(h("li", { lang: SERVICES }), text)))) : null,
     about.conditions.length > 0 ? part(t("conditions"), h("ul", { class: "sensor-list" }, standing.conditions.map((condition) => h("li", {}, conditionWords(condition).text))), series && charts(about.conditions, "condition", series, shown, ({ name, unit: of }) => `${name} (${unit(of)})`)) : null,
     part(t("sensors-at-the-time-of-the-report"), sensorTable(about, standing)),
-    part(t("events-in-the-period"), events(happened, t("no-event-is-known")), left(happened)),
+    part(t("events-in-the-period"), events(happened, t("no-event-is-known")), left(happened, happened.length > 0 ? "" : lacks)),
   );
 }
 
@@ -358,7 +358,7 @@ function sensorTable({ drawing }, { sensors }) {
     const { sign, word, level: attention } = HEALTH[health];
     const { quantity, of } = units.get(channel) ?? { quantity: "", of: "" };
     const [rate, , rms, peak, last] = levelWords(level, of);
-    return { level: attention, cells: [channel, wordOf(quantity), node, `${sign} ${word}`, rate, rms, peak, last] };
+    return { level: attention, cells: [channel, wordOf(quantity), node, `${sign}\u00a0${word}`, rate, rms, peak, last] };
   });
   return table([t("sensor"), t("quantity"), t("node"), t("state"), t("samples-per-second"), t("rms"), t("peak"), t("last-sample")], rows, { label: t("sensors"), className: "is-sensors" });
 }

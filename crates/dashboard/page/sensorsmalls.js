@@ -30,7 +30,7 @@ export class SensorSmalls {
   /** `choose(channel)` opens the details of a sensor. */
   constructor(page, sensors, recording, choose) {
     Object.assign(this, { page, sensors, choose });
-    this.points = new WaveformPoints(page.name, page.span, recording, { count: POINTS, isThin: true });
+    this.points = new WaveformPoints(page.name, page.span, recording, { count: POINTS });
     this.grid = h("div", { class: "sensor-smalls" });
     this.limits = h("p", { class: "group-text", id: "waveform-scale" });
     this.none = h("p", { class: "empty", hidden: true }, t("no-sensor-matches-the-search"));
@@ -104,7 +104,8 @@ export class SensorSmalls {
       const own = ranges.get(part.channel);
       if (isPrint || part.isSeen) paint(part, own && isCommon ? shared.get(this.sensors.get(part.channel).unit) : own, { min, max }, colours);
     }
-    const words = isCommon ? [...shared].map(([of, [low, high]]) => t("common-scale-of-waveforms", number(low), number(high), unit(of))).join(" ") : t("each-plot-has-its-own-scale");
+    const scales = [...shared].map(([of, [low, high]]) => t("range-in-unit", number(low), number(high), unit(of)));
+    const words = !isCommon ? t("each-plot-has-its-own-scale") : scales.length > 0 ? t("common-scale-of-waveforms", scales.join("; ")) : "";
     setSentence(this.limits, `${words}${t("time-of-the-small-plots", time(min), time(max))} ${t("figures-of-the-last-minute")}`);
   }
 

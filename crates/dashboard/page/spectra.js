@@ -3,7 +3,7 @@
 import { t } from "./language.js";
 import { Plot, css } from "./plot.js";
 import { SpectrumHistory } from "./spectrogram.js";
-import { number, unit } from "./words.js";
+import { densityUnit, number } from "./words.js";
 import { Extent } from "./year.js";
 
 /** Interval between two fetches (ms). Ingest publishes spectra every ten seconds. */
@@ -86,7 +86,7 @@ export class Spectra {
  * range that the channel needs. `modes()` returns the natural frequencies { name, frequency }.
  */
 export function spectrumPlot(sensor, spectra, shared, modes) {
-  const of = `(${unit(sensor.unit)})²/Hz`;
+  const of = densityUnit(sensor.unit);
   return new Plot(
     {
       title: sensor.channel,

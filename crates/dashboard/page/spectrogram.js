@@ -3,7 +3,7 @@
 
 import { t } from "./language.js";
 import { Plot, power } from "./plot.js";
-import { clock, number, unit } from "./words.js";
+import { clock, densityUnit, number } from "./words.js";
 
 /** Number of spectra kept of each channel: half an hour at one in ten seconds. */
 const KEPT = 180;
@@ -91,7 +91,7 @@ class Collected {
 /** Creates the spectrogram of a channel. `modes()` returns the natural frequencies { name, frequency }. */
 export function spectrogramPlot(sensor, history, span, modes) {
   const { channel } = sensor;
-  const of = `(${unit(sensor.unit)})²/Hz`;
+  const of = densityUnit(sensor.unit);
   const known = () => history.columns(channel);
   const plot = new Plot(
     {

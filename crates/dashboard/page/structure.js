@@ -22,6 +22,8 @@ import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, bySeverity, canBeSeen, fit
 const DRAW_EVERY_MS = 250;
 /** Number of alerts whose buttons are always shown. */
 const MOST_BUTTONS = 2;
+/** States of an alert whose figures are those of its time. An unconfirmed one can have older figures. */
+const DATED = ["raised", "acknowledged"];
 
 /** Returns the alerts of the rules and the lasting losses. */
 const alertsOf = ({ alerts, lasting_alerts: lasting }) => [...alerts, ...lasting];
@@ -192,13 +194,14 @@ export class StructurePage {
     // The judgement states no probability of a lasting loss, which is as good as certain.
     const raised = alerts.filter(canBeSeen).sort((a, b) => isLasting(b) - isLasting(a) || (a.state === "cleared") - (b.state === "cleared") || bySeverity(severity(a), severity(b)));
     const badge = (name) => h("span", { class: "badge", "data-level": name });
-    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }), others: h("div", { class: "actions" }), othersTitle: h("summary"), help: makeHelp() };
+    this.parts ??= { badge: h("span", { class: "badge" }), seen: badge("notice"), stale: badge("stale"), sentence: h("p", { class: "sentence", lang: SERVICES }), figures: h("p", { class: "seen dated" }), now: h("p", { class: "now", lang: SERVICES, hidden: true }), also: h("p", { class: "also", lang: SERVICES }), quakes: h("ol", { class: "reported" }), facts: h("p", { class: "facts-line" }), actions: h("div", { class: "actions" }), others: h("div", { class: "actions" }), othersTitle: h("summary"), help: makeHelp() };
     const { parts } = this;
     parts.folded ??= h("details", { class: "routine" }, parts.othersTitle, parts.others);
     parts.more ??= h("details", { class: "more", open: true }, h("summary", {}, t("more")), parts.help.element, parts.now, parts.also, parts.quakes, parts.facts);
-    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.actions, parts.folded, parts.more);
+    if (this.head.childElementCount === 0) this.head.append(h("div", { class: "badges" }, parts.badge, parts.seen, parts.stale), parts.sentence, parts.figures, parts.actions, parts.folded, parts.more);
     setText(parts.badge, `${level.sign} ${level.word}`);
     setSentence(parts.sentence, overview.sentence);
+    this.#showDate(overview);
     showNow(parts.now, overview);
     showAlso(parts.also, overview);
     keyed(parts.quakes, overview.earthquake ? [overview] : [], ({ name }) => name, makeReported, (part, one) => updateReported(part, one, t("earthquake-report")));
@@ -227,6 +230,17 @@ export class StructurePage {
     setText(parts.othersTitle, t("further-alerts", raised.length - MOST_BUTTONS));
     updateHelp(parts.help, alerts);
     this.tabs?.[0].attend(overview);
+  }
+
+  /**
+   * Shows the time of the figures in the sentence. It is revised only if the loss has changed clearly, so
+   * that its figures can differ from the newest ones beside it.
+   */
+  #showDate({ part }) {
+    const isDated = ({ parameter, state }) => parameter === part && DATED.includes(state);
+    const alert = this.#standing?.alerts.find(isDated);
+    this.parts.figures.hidden = !alert;
+    if (alert) setSentence(this.parts.figures, t("figures-of-the-alert", time(alert.time_ns / 1e9)));
   }
 
   #show(standing) {

@@ -328,7 +328,8 @@ const FAULTS = {
 /** Returns how a channel compares with the others, in the columns of the table of sensors. */
 export function compared(channel) {
   if (!channel || channel.gain === null) return { relation: "–", fault: "–" };
-  const factor = t("factor-delay-ms", typeset(channel.gain.toFixed(2)), Math.abs(1000 * channel.delay_s).toFixed(0), channel.delay_s < 0 ? t("before") : t("after"));
+  const [size, ms] = [typeset(channel.gain.toFixed(2)), Math.round(1000 * channel.delay_s)];
+  const factor = ms === 0 ? t("factor-in-step", size) : t("factor-delay-ms", size, Math.abs(ms), ms < 0 ? t("earlier") : t("later"));
   return { relation: channel.fault ? FAULTS[channel.fault](channel) : factor, fault: probability(channel.probability) };
 }
 
@@ -424,6 +425,16 @@ export function comparedMeans(change, first) {
 export function coordinatesOf(at) {
   if (!at) return "";
   return `${fixed(Math.abs(at.latitude), 4)}° ${at.latitude < 0 ? "S" : "N"}, ${fixed(Math.abs(at.longitude), 4)}° ${at.longitude < 0 ? "W" : "E"}`;
+}
+
+/** Returns the unit of a power spectral density. Only a unit of several symbols is in parentheses. */
+export function densityUnit(of) {
+  return `${unit(of).replace(/^.*[^\p{L}].*$/u, "($&)")}²/Hz`;
+}
+
+/** Formats the distance of a node from the others, with the same decimals for all nodes. */
+export function distanceWords(distance) {
+  return distance < 1e5 ? fixed(distance, 2) : number(distance);
 }
 
 /** Returns a unit with typographic symbols. */
