@@ -298,6 +298,8 @@ impl StructureState {
             && self.alerts.is_empty()
             && self.nodes.is_empty()
             && self.conditions.is_empty()
+            && self.modes.is_empty()
+            && self.judgements.is_empty()
             && self.instances.is_empty()
     }
 

@@ -1,7 +1,8 @@
 use super::*;
 use crate::testing::{alert, at, ingested, loss, name, parameter, present, status};
 use spandrel_bus::{
-    AlertState, MAX_CHANNELS, MonitoringDisplay, MonitoringState, ParameterMonitoring, Service,
+    AlertState, MAX_CHANNELS, ModeDisplay, ModeState, MonitoringDisplay, MonitoringState,
+    ParameterMonitoring, Service,
 };
 
 /// Returns the state after these inputs.
@@ -285,6 +286,30 @@ fn ended_service_stays_listed_and_an_ended_node_does_not() {
 fn structure_without_values_leaves_no_entry() {
     let structures = after([present(&[(Service::Sensor, "floor-1")]), present(&[])]);
     assert_eq!(structures.structures().len(), 0);
+}
+
+/// Otherwise, a structure without a filter would vanish when it becomes blind.
+#[test]
+fn structure_with_modes_alone_stays_after_its_services_have_ended() {
+    let mode = ModeDisplay {
+        structure: name("tower"),
+        mode: name("mode-1"),
+        time_ns: 0,
+        epoch_s: 600.0,
+        epochs: 1,
+        state: ModeState::Missing,
+        partner: None,
+        estimate: None,
+        presence: 0.0,
+        machine: false,
+        declared_hz: 1.25,
+    };
+    let structures = after([
+        present(&[(Service::Modes, "a")]),
+        Input::Mode(Box::new(mode)),
+        present(&[]),
+    ]);
+    assert_eq!(structures.structures().len(), 1);
 }
 
 #[test]
