@@ -10,7 +10,7 @@ use crate::frost::KNOTS;
 use crate::inertia::Past;
 use crate::model::{Columns, DEVIATIONS, Deviation, Row, Structure};
 use crate::regression::{Posterior, Series, Taught, weight};
-use crate::settings::{Season, Settings};
+use crate::settings::Season;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
