@@ -151,7 +151,9 @@ impl Judge {
         match quantity {
             None => self.courses = courses(&self.settings),
             Some(index) => {
-                self.stop(index);
+                for course in &mut self.courses {
+                    course.begin_again(index);
+                }
                 let declared = self.settings.quantities.get(index);
                 if let (Some(course), Some(quantity)) = (self.courses.get_mut(index), declared) {
                     *course = QuantityCourse::new(quantity, &self.settings);
@@ -249,7 +251,7 @@ impl Judge {
         judgements.extend(of_day.into_iter().map(|(_, judgement)| judgement));
     }
 
-    /// Takes note that a quantity has changed or has a new reference.
+    /// Takes note that a quantity has changed.
     fn stop(&mut self, quantity: usize) {
         for course in &mut self.courses {
             course.stop(quantity);

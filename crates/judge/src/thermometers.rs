@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 
 /// Number of courses that must agree on a change. A single course that is left decides alone.
 const AGREEING: usize = 2;
-/// A thermometer that has given no judged day for this long (days) is no longer awaited.
-const SILENT_DAYS: i64 = 30;
+/// A course without a judged day for this number of days with epochs is no longer awaited.
+const SILENT_DAYS: u32 = 30;
 
 /// Returns the share of the budget of a quantity that each of its courses has. It is 1 without
 /// thermometers.
@@ -60,7 +60,9 @@ struct Comparison {
     is_stopped: bool,
     /// An epoch of the day had the quantity, but not the thermometer.
     is_missing: bool,
-    last_judged_day: Option<i64>,
+    /// Number of days with epochs since the last judged one. Days of an outage do not count: on the
+    /// first day after it, a single course would otherwise decide alone.
+    silent_days: u32,
 }
 
 impl QuantityCourse {
@@ -76,7 +78,7 @@ impl QuantityCourse {
             course: Course::new(),
             is_stopped: false,
             is_missing: false,
-            last_judged_day: None,
+            silent_days: u32::MAX,
         };
         Self::Compared(Comparisons {
             comparisons: thermometers.map(comparison).collect(),
@@ -111,8 +113,20 @@ impl QuantityCourse {
         }
     }
 
-    /// Takes note that a quantity has changed or has a new reference. It no longer serves as a
-    /// thermometer.
+    /// Takes note that a quantity has a new reference. It no longer serves as a thermometer.
+    ///
+    /// A course that is still in its commissioning begins again with the new values instead. The
+    /// order in which several quantities get a new reference on one day therefore has no effect.
+    pub(crate) fn begin_again(&mut self, quantity: usize) {
+        if let Self::Compared(of) = self {
+            for comparison in of.serving_mut().filter(|one| one.thermometer == quantity) {
+                comparison.is_stopped = comparison.course.reference().is_ok();
+                comparison.course = Course::new();
+            }
+        }
+    }
+
+    /// Takes note that a quantity has changed. It no longer serves as a thermometer.
     pub(crate) fn stop(&mut self, quantity: usize) {
         if let Self::Compared(of) = self {
             let concerned = of.serving_mut().filter(|one| one.thermometer == quantity);
@@ -130,9 +144,16 @@ impl QuantityCourse {
             Self::Alone(course) => return course.reference(),
             Self::Compared(of) => of.comparisons.iter().filter(|one| !one.is_stopped),
         };
-        let mut references: Vec<&Reference> = comparisons
-            .map(|comparison| comparison.course.reference())
-            .collect::<Result<_, _>>()?;
+        let (mut references, mut missing) = (Vec::new(), Vec::new());
+        for comparison in comparisons {
+            match comparison.course.reference() {
+                Ok(reference) => references.push(reference),
+                Err(why) => missing.push(why),
+            }
+        }
+        if let Some(why) = missing.first().filter(|_| references.len() < AGREEING) {
+            return Err(*why);
+        }
         references.sort_by(|a, b| a.scatter().total_cmp(&b.scatter()));
         let deciding = references.len().min(AGREEING).checked_sub(1);
         deciding.map(|place| references[place]).ok_or(None)
@@ -157,9 +178,11 @@ impl Comparison {
             absence: frame.absence.or(missing.as_ref()),
             ..frame
         });
-        if judgement.state == State::Judged {
-            self.last_judged_day = Some(frame.day);
-        }
+        self.silent_days = match judgement.state {
+            // From the day on which its commissioning ends, the course has a say.
+            State::Judged | State::Learning { days_left: 0 } => 0,
+            _ => self.silent_days.saturating_add(1),
+        };
         if let Some(means) = &mut judgement.means {
             means.conditions.truncate(frame.settings.conditions.len());
         }
@@ -167,9 +190,8 @@ impl Comparison {
     }
 
     /// Returns `true` if the course was judged within the last days.
-    fn is_awaited(&self, day: i64) -> bool {
-        self.last_judged_day
-            .is_some_and(|judged| day - judged < SILENT_DAYS)
+    fn is_awaited(&self) -> bool {
+        self.silent_days < SILENT_DAYS
     }
 }
 
@@ -183,20 +205,23 @@ impl Comparisons {
     }
 
     fn end_day(&mut self, frame: Frame<'_>) -> Judgement {
-        // A commissioning is over once it is over with every thermometer.
         let (mut awaited, mut others, mut learning) = (Vec::new(), Vec::new(), None);
+        let mut ready = 0;
         for comparison in self.serving_mut() {
             let judgement = comparison.end_day(frame);
-            let is_learning = comparison.course.reference().is_err();
-            if is_learning && learning.is_none() {
-                learning = Some(judgement);
-            } else if comparison.is_awaited(frame.day) {
+            if comparison.course.reference().is_err() {
+                learning.get_or_insert(judgement);
+                continue;
+            }
+            ready += 1;
+            if comparison.is_awaited() {
                 awaited.push(judgement);
             } else {
                 others.push(judgement);
             }
         }
-        if let Some(judgement) = learning {
+        // A third thermometer can follow later, or never.
+        if let Some(judgement) = learning.filter(|_| ready < AGREEING) {
             return Judgement {
                 finding: self.finding(),
                 raised: false,

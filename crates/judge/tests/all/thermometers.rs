@@ -224,6 +224,79 @@ fn a_thermometer_with_a_new_reference_stops_serving_until_the_mode_has_one() {
     assert!(judged(800..890) > 60, "{:?}", states(800..890));
 }
 
+/// Only the second mode has changed. The course of the third one is present on each of these days,
+/// although it was just learnt, or has just come back.
+#[test]
+fn a_single_course_decides_neither_after_its_commissioning_nor_after_an_outage() {
+    let gain = |day_of_change: f64| {
+        move |mode: usize, day: f64| {
+            if mode == 1 && day >= day_of_change {
+                1.04
+            } else {
+                1.0
+            }
+        }
+    };
+    let mut late = epochs(1, 446, 1.0, gain(372.0));
+    for epoch in late.iter_mut().filter(|one| one.time_s < 25.0 * DAY_S) {
+        epoch.quantities[2] = None;
+    }
+    let mut outage = epochs(1, 500, 1.0, gain(CHANGE));
+    outage.retain(|one| !(440.0 * DAY_S..475.0 * DAY_S).contains(&one.time_s));
+    let missing = 475.0 * DAY_S..476.0 * DAY_S;
+    for epoch in outage
+        .iter_mut()
+        .filter(|one| missing.contains(&one.time_s))
+    {
+        epoch.quantities[2] = None;
+    }
+    for series in [late, outage] {
+        let judgements = first_mode(&TWO, &series);
+        let finding = judgements.iter().find(|one| one.finding.is_some());
+        assert!(finding.is_none(), "{finding:?}");
+    }
+}
+
+#[test]
+fn a_third_thermometer_that_is_never_measured_hides_no_loss() {
+    let loss = |mode: usize, day: f64| {
+        if mode == 0 && day >= CHANGE {
+            0.96
+        } else {
+            1.0
+        }
+    };
+    let mut series = epochs(1, 446, 1.0, loss);
+    series
+        .iter_mut()
+        .for_each(|epoch| epoch.quantities[3] = None);
+    let day = alarm_day(&first_mode(&THREE, &series)).expect("an alarm");
+    assert!((430..445).contains(&day), "{day}");
+}
+
+#[test]
+fn the_order_of_new_references_on_one_day_has_no_effect() {
+    let series = epochs(1, 800, 1.0, |_, _| 1.0);
+    let of_order = |order: [usize; 3]| {
+        let mut state = Judge::new(with(&TWO)).unwrap();
+        for quantity in order {
+            state.start_anew(NewReference {
+                time_s: 400.0 * DAY_S,
+                quantity: Some(quantity),
+            });
+        }
+        let mut judgements = Vec::new();
+        for epoch in &series {
+            state.handle(epoch, &mut judgements).unwrap();
+        }
+        state.finish(&mut judgements);
+        of_first(judgements)
+    };
+    let first = of_order([0, 1, 2]);
+    assert_eq!(first, of_order([1, 2, 0]));
+    assert_eq!(first.last().unwrap().state, State::Judged);
+}
+
 #[test]
 fn epochs_without_a_thermometer_do_not_count() {
     let mut series = epochs(1, 446, 1.0, |mode, day| {
