@@ -61,13 +61,13 @@ export class Recording {
 
   async #read(known) {
     const [from_s, to_s] = known.range;
-    if (this.isAtNodes) return { why: t("waveforms-not-kept") };
     if (to_s - from_s > this.longest_s) return { why: t("waveforms-of-shorter-ranges", duration(this.longest_s)) };
     await new Promise((done) => setTimeout(done, SETTLE_MS));
     if (known !== this.#known) return { why: "" };
     const query = new URLSearchParams({ from: from_s.toFixed(6), to: to_s.toFixed(6), format: "csv" });
     const response = await this.#fetch(known, query);
     if (response.ok) return parsed(await response.text(), this.channels);
+    if (this.isAtNodes && [404, 503].includes(response.status)) return { why: t("waveforms-not-kept") };
     if (response.status === 404) return { why: t("waveforms-not-recorded") };
     const { error, allowed } = await response.json();
     return { why: t("waveforms-not-read", error, allowed) };
@@ -77,7 +77,7 @@ export class Recording {
   async #fetch(known, query) {
     for (let attempt = 1; ; attempt += 1) {
       const response = await fetch(`/api/structures/${encodeURIComponent(this.name)}/samples?${query}`);
-      if (response.status !== 503 || attempt === MOST_ATTEMPTS || known !== this.#known) return response;
+      if (response.status !== 503 || this.isAtNodes || attempt === MOST_ATTEMPTS || known !== this.#known) return response;
       await new Promise((done) => setTimeout(done, RETRY_MS));
     }
   }

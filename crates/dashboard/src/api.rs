@@ -344,7 +344,8 @@ async fn read_history(
 /// there is, unless it would not show that waveforms are missing.
 fn refuses(why: StatusCode, source: &Source, span: &Span, unkept: &[Unkept]) -> bool {
     match why {
-        StatusCode::SERVICE_UNAVAILABLE if source.has_ingest => true,
+        _ if !source.has_ingest => span.is_empty(), // no attempt can help
+        StatusCode::SERVICE_UNAVAILABLE => true,
         StatusCode::NOT_FOUND => span.is_empty(), // nothing was recorded
         _ => span.lacks(unkept),
     }

@@ -242,11 +242,15 @@ pub(crate) fn read(store: &Store, request: &Request) -> (Span, Vec<Earlier>) {
             points = (points - query.points).max(1);
             let mut sensors = store.about.drawing.sensors.iter();
             let sensor = sensors.position(|sensor| sensor.channel == name.of);
+            // Without stored points, the range would have no end.
+            let newest_ns = store.state.time_ns.unwrap_or(i64::MAX);
+            let to_ns = query.to_ns.min(newest_ns);
+            let sensor = sensor.filter(|_| query.from_ns < to_ns);
             unkept.extend(sensor.map(|sensor| Unkept {
                 place,
                 sensor,
                 from_ns: query.from_ns,
-                to_ns: query.to_ns,
+                to_ns,
                 points: query.points,
             }));
         }

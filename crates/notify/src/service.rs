@@ -493,10 +493,9 @@ impl Source {
                     told.standing.push((alert.clone(), known != Some(alert)));
                 }
                 Input::Judgement(display) => {
-                    if self.judged.take(display, outbox) {
-                        let due = now + SETTLES_AFTER;
-                        self.changes.push_back((display.clone(), due));
-                    }
+                    let is_new = self.judged.take(display, outbox);
+                    let change = is_new.then(|| (display.clone(), now + SETTLES_AFTER));
+                    self.changes.extend(change);
                 }
                 Input::Monitoring(display) => self.sight.take(display.clone(), now),
                 Input::Event(event) if event.kind == EventKind::Earthquake => {
