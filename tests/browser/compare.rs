@@ -1,7 +1,6 @@
 //! The tab that compares two time ranges.
 
-use super::browser;
-use super::layout::{demo, example};
+use super::{browser, demo, example};
 use serde_json::{Value, json};
 
 /// Waits for the end of a demo.

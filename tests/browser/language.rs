@@ -1,7 +1,6 @@
 //! The languages of the page.
 
-use super::browser;
-use super::layout::demo;
+use super::{browser, demo};
 use serde_json::json;
 
 /// Collects the English words on the page that German lacks, with the text that contains them.

@@ -1,34 +1,9 @@
 //! Tests of the layout of the page: labels of marks, names in the drawing, and columns of a table.
 //! Another test checks that the page shows its connection immediately.
 
-use super::{Program, browser, free_address, run_in};
+use super::{browser, demo, example, run_in};
 use serde_json::{Value, json};
-use std::path::Path;
 use std::process::{Command, Stdio};
-
-pub(super) fn example(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../docs/examples")
-        .join(name)
-        .to_str()
-        .unwrap()
-        .to_owned()
-}
-
-/// Starts a demo that keeps running, without its output.
-pub(super) fn demo(arguments: &[&str]) -> Program {
-    let endpoint = format!("tcp/{}", free_address());
-    let settings = [
-        "--stay",
-        "--speed",
-        "10",
-        "--http",
-        "127.0.0.1:0",
-        "--listen",
-        &endpoint,
-    ];
-    Program::start(&[&["demo"], arguments, &settings].concat())
-}
 
 /// Regression test: a red "connecting …" was shown for a second although data had just arrived.
 #[tokio::test(flavor = "multi_thread")]

@@ -1,7 +1,6 @@
 //! The map of the structures.
 
-use super::layout::example;
-use super::{Program, browser, free_address};
+use super::{Program, browser, example, free_address};
 use crate::support::axe_or_skip;
 use serde_json::json;
 

@@ -1,7 +1,6 @@
 //! Mistakes of the page that a new user has found. Each test shows that one of them is mended.
 
-use super::browser;
-use super::layout::{demo, example};
+use super::{browser, demo, example};
 use serde_json::json;
 
 /// Waits for the end of a demo, whose data then become stale.

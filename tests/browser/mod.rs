@@ -28,10 +28,14 @@ mod workspace;
 
 use crate::support::skip;
 use chromium::Browser;
+use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+
+/// Number of storeys and parameters of the tall building.
+const STOREYS: usize = 40;
 
 /// A program that is killed when its test ends.
 struct Program {
@@ -128,4 +132,56 @@ fn run_in(folder: &Path, structure: &str) -> (Program, String) {
         &endpoint,
     ];
     (Program::start(&run), endpoint)
+}
+
+/// Starts a demo that keeps running, without its output.
+fn demo(arguments: &[&str]) -> Program {
+    let endpoint = format!("tcp/{}", free_address());
+    let settings = [
+        "--stay",
+        "--speed",
+        "10",
+        "--http",
+        "127.0.0.1:0",
+        "--listen",
+        &endpoint,
+    ];
+    Program::start(&[&["demo"], arguments, &settings].concat())
+}
+
+/// Returns the path of an example of the docs.
+fn example(name: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../docs/examples")
+        .join(name)
+        .to_str()
+        .unwrap()
+        .to_owned()
+}
+
+/// Returns a structure file of forty storeys with a parameter and a sensor each.
+fn tall_building() -> String {
+    let mut text = String::from(
+        "[structure]\nname = \"tall\"\ndescription = \"forty storeys\"\nsampling-rate-hz = 25\n\
+         display-rate-hz = 10\n[model]\nkind = \"shear-building\"\nstoreys = 40\nmass-kg = 20_000\n\
+         first-frequency-hz = 0.3\n[damping]\nkind = \"rayleigh\"\nratio = 0.02\nmodes = [1, 2]\n\
+         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\n\
+         measured-on = \"ground\"\n\
+         [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
+         quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n\
+         [[alert]]\nparameters = \"stiffness\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
+         reference = { learn-s = 10 }\n",
+    );
+    for storey in 1..=STOREYS {
+        write!(
+            text,
+            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
+             of = [\"storey-{storey}\"]\n\
+             std = 0.05\n[[node]]\nname = \"node-{storey}\"\n[[node.channel]]\n\
+             name = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\n\
+             dof = \"floor-{storey}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
+        )
+        .unwrap();
+    }
+    text
 }

@@ -1,9 +1,7 @@
 //! What the page tells at a glance: the summary, the list after an earthquake, and the lists of
 //! alerts and events. Another test checks that nothing is cut off on a phone.
 
-use super::Browser;
-use super::browser;
-use super::layout::demo;
+use super::{Browser, browser, demo};
 use serde_json::{Value, json};
 
 /// Shows structures on an overview without a server: `level` and `earthquake` of each by its name.

@@ -1,7 +1,6 @@
 //! Reports of a period.
 
-use super::browser;
-use super::layout::demo;
+use super::{browser, demo};
 use serde_json::json;
 
 /// Regression test: a report of one of a hundred structures needed ninety-nine clicks.

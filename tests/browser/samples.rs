@@ -1,7 +1,6 @@
 //! The export of samples around an event and of a chosen range.
 
-use super::browser;
-use super::layout::demo;
+use super::{browser, demo};
 use crate::support::skip;
 use base64::Engine as _;
 use serde_json::{Value, json};

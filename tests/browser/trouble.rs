@@ -1,8 +1,7 @@
 //! Trouble is first on the page and is not hidden: beside an alarm, among many parts and sensors, and
 //! among repeated changes.
 
-use super::browser;
-use super::layout::demo;
+use super::{browser, demo};
 use serde_json::json;
 
 /// Regression test: an alarm hid a sensor that is not used and the age of the estimates, and the map was

@@ -1,8 +1,6 @@
 //! Waveforms and spectra of the sensors.
 
-use super::browser;
-use super::layout::demo;
-use super::workspace::tall_building;
+use super::{browser, demo, tall_building};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn waveforms_and_spectra_of_the_sensors_are_shown() {

@@ -1,46 +1,14 @@
 //! The page of a structure as a workspace: tabs, the address, small plots, search, time zones, a
 //! free time range, and access with assistive technology.
 
-use super::layout::{demo, example};
-use super::{Browser, Program, browser, run_in, tool};
+use super::{Browser, Program, STOREYS, browser, demo, example, run_in, tall_building, tool};
 use crate::support::axe_or_skip;
 use serde_json::{Value, json};
-use std::fmt::Write as _;
-
-/// Number of storeys and parameters of the tall building.
-const STOREYS: usize = 40;
 
 /// Opens a page of a structure and waits for a condition.
 async fn open(browser: &mut Browser, demo: &Program, hash: &str, what: &str, condition: &str) {
     browser.open(&format!("{}{hash}", demo.page)).await;
     browser.wait(what, condition).await;
-}
-
-/// Returns a structure file of forty storeys with a parameter and a sensor each.
-pub(super) fn tall_building() -> String {
-    let mut text = String::from(
-        "[structure]\nname = \"tall\"\ndescription = \"forty storeys\"\nsampling-rate-hz = 25\n\
-         display-rate-hz = 10\n[model]\nkind = \"shear-building\"\nstoreys = 40\nmass-kg = 20_000\n\
-         first-frequency-hz = 0.3\n[damping]\nkind = \"rayleigh\"\nratio = 0.02\nmodes = [1, 2]\n\
-         [[excitation]]\nname = \"ground\"\nkind = \"ground\"\nstd = 0.1\n\
-         measured-on = \"ground\"\n\
-         [[node]]\nname = \"ground\"\n[[node.channel]]\nname = \"ground\"\n\
-         quantity = \"ground-acceleration\"\nunit = \"m/s2\"\nnoise-std = 0.005\n\
-         [[alert]]\nparameters = \"stiffness\"\nloss = 0.05\ncredibility = 0.99\nsustain-s = 5\n\
-         reference = { learn-s = 10 }\n",
-    );
-    for storey in 1..=STOREYS {
-        write!(
-            text,
-            "[[parameter]]\nname = \"storey-{storey}\"\nscales = \"stiffness\"\n\
-             of = [\"storey-{storey}\"]\n\
-             std = 0.05\n[[node]]\nname = \"node-{storey}\"\n[[node.channel]]\n\
-             name = \"acceleration-{storey}\"\nquantity = \"absolute-acceleration\"\n\
-             dof = \"floor-{storey}\"\nunit = \"m/s2\"\nnoise-std = 0.005\n"
-        )
-        .unwrap();
-    }
-    text
 }
 
 #[tokio::test(flavor = "multi_thread")]
