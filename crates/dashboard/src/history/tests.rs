@@ -280,6 +280,29 @@ fn waveforms_from_before_the_stored_ones_are_read_from_the_recording() {
     assert_eq!(unkept(&store, None, None), [], "a range without a start");
 }
 
+/// Regression test: a range without an end was refused as too long.
+#[test]
+fn waveforms_are_read_from_the_recording_up_to_the_newest_data() {
+    let mut store = demo();
+    hear(&mut store, "storey-1", 120 * SECOND, 1.0, 0.0);
+    let unkept = |from: &str, to: Option<&str>| {
+        let asked = Asked {
+            series: Some("waveform/floor-1".into()),
+            from: Some(from.to_owned()),
+            to: to.map(str::to_owned),
+            ..Asked::default()
+        };
+        read(&store, &Request::new(&asked, &store).unwrap())
+            .0
+            .unkept
+    };
+    let up_to = |second: i64| [Unkept::new(1, 0, second * SECOND, POINTS)];
+    assert_eq!(unkept("0", None), up_to(120));
+    assert_eq!(unkept("0", Some("200")), up_to(120));
+    assert_eq!(unkept("0", Some("60")), up_to(60));
+    assert_eq!(unkept("120", None), [], "nothing is newer");
+}
+
 /// Regression test: the loss begins after the reference was learnt, and hid the estimates before
 /// it.
 #[test]

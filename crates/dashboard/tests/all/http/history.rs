@@ -101,6 +101,16 @@ async fn waveforms_from_before_the_start_are_those_of_the_recording() {
     site.get(&at(0, 10_000))
         .await
         .expect_refused(400, "the range is 10000 s long");
+
+    // A range without an end ends at the newest data.
+    site.put(2, 1.0).await;
+    site.wait("the newest data", |found| found["time_s"] == 2.0)
+        .await;
+    let open = "/api/structures/demo/history?series=waveform/floor-1&from=0.5&points=10";
+    let span = site.get(open).await.json();
+    assert_eq!(span["unread_waveforms"], json!(null));
+    let times = span["series"][0]["data"][0].as_array().unwrap();
+    assert_eq!((times.len(), &times[0]), (10, &json!(0.5)));
     site.end().await;
 }
 
