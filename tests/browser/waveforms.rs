@@ -1,6 +1,6 @@
 //! Waveforms and spectra of the sensors.
 
-use super::{browser, demo, tall_building};
+use super::{browser, demo, example, run_in, tall_building, tool};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn waveforms_and_spectra_of_the_sensors_are_shown() {
@@ -294,6 +294,69 @@ async fn waveforms_of_nodes_with_their_own_filters_are_shown() {
              .told:not([hidden])')?.textContent.includes('the samples stay at the nodes')",
         )
         .await;
+}
+
+/// Regression test: the page did not read the samples of nodes with their own filters, although
+/// ingest had recorded them.
+#[tokio::test(flavor = "multi_thread")]
+async fn recorded_samples_of_nodes_with_their_own_filters_are_shown() {
+    let Some(mut browser) = browser().await else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let structure = example("demo-distributed.toml");
+    let record = folder.path().join("record.csv");
+    let record = record.to_str().unwrap();
+    tool(&[
+        "simulate",
+        &structure,
+        "--record",
+        record,
+        "--duration",
+        "5",
+    ]);
+    let (run, endpoint) = run_in(folder.path(), &structure);
+    tool(&[
+        "replay",
+        record,
+        "--structure",
+        &structure,
+        "--speed",
+        "max",
+        "--connect",
+        &endpoint,
+    ]);
+    browser.resize(1280, 900).await;
+    browser
+        .open(&format!(
+            "{}#/structure/demo-distributed/settings",
+            run.page
+        ))
+        .await;
+    // The page reads the samples of a range only once.
+    browser
+        .wait(
+            "all frames",
+            "[...document.querySelectorAll('.services tbody tr')].some(({ children: [service, , , \
+             done] }) => service.textContent === 'ingest' && done.textContent === '250')",
+        )
+        .await;
+    browser
+        .evaluate(
+            "location.hash = \
+             '#/structure/demo-distributed/sensors?from=1&to=4&sensor=acceleration-1'",
+        )
+        .await;
+    // The least and the largest value of one sample are equal. Those of a tenth of a second, which
+    // the server keeps, differ.
+    browser
+        .wait(
+            "each sample up to the end of the range",
+            "/^4\\.00 s · (\\S+) to \\1 m\\/s²$/.test(document.querySelector(\
+             '#plot-waveform-acceleration-1 .readout')?.textContent)",
+        )
+        .await;
+    assert_eq!(browser.complaints(), Vec::<String>::new());
 }
 
 /// Regression test: the waveforms of an event were lost with a restart, and had ten points a second.
