@@ -214,6 +214,11 @@ async fn forty_sensors_have_small_waveforms_with_details_of_one() {
              .+ · Peak .+ m\\/s²/.test(one.textContent))",
         )
         .await;
+    // Both ends of a short range can be in one minute.
+    let ends = "/From left to right: (.+:\\d\\d:\\d\\d) UTC to (.+:\\d\\d:\\d\\d) UTC\\./\
+                .exec(document.getElementById('waveform-scale').textContent)?.slice(1)";
+    let ends = browser.evaluate(ends).await;
+    assert!(ends[0].is_string() && ends[0] != ends[1], "{ends}");
     let height = "document.documentElement.scrollHeight";
     let height = browser.evaluate(height).await.as_u64().unwrap();
     assert!(height < 3_500, "{height} px");
@@ -388,6 +393,16 @@ async fn waveforms_of_an_event_are_those_of_the_recording() {
     assert_eq!(
         browser.evaluate(steps).await,
         serde_json::json!([[0, 2], [5, 6], [5, 7]])
+    );
+    // Times of an axis that are in one minute, or in one second, differ.
+    let ticks = "import('/plot.js').then(({ timeTicks }) => [20, 0.5].map((step) => timeTicks([0, \
+                 step].map((time) => 1600000020 + time), step)))";
+    assert_eq!(
+        browser.evaluate(ticks).await,
+        serde_json::json!([
+            ["12:27:00\n2020-09-13", "12:27:20"],
+            ["12:27:00.000\n2020-09-13", "12:27:00.500"]
+        ])
     );
     let asked = "performance.getEntriesByType('resource').filter(({ name }) => \
                  name.includes('/samples?')).length";
