@@ -76,11 +76,15 @@ pub fn all(table: &mut Table) {
     let endpoint = free_endpoint().replace("tcp/", "quic/");
     for (given, file, told) in [
         (
-            "a certificate that is not there",
+            "a missing certificate",
             "nowhere.pem",
             &["nowhere.pem", "No such file"][..],
         ),
-        ("a file that is no certificate", "none.pem", &["none.pem"]),
+        (
+            "a file that is not a certificate",
+            "none.pem",
+            &["none.pem"],
+        ),
         (
             "a certificate that is a pipe",
             "pipe.pem",
@@ -139,12 +143,12 @@ pub fn all(table: &mut Table) {
     ];
     for (given, (subcommand, arguments), told) in [
         (
-            "a router file that looks for others",
+            "a router file that enables multicast",
             ("router", &["open.json5"][..]),
             &["multicast"][..],
         ),
         (
-            "a router file that ends early",
+            "an incomplete router file",
             ("router", &["half.json5"]),
             &["half.json5"],
         ),
@@ -164,12 +168,12 @@ pub fn all(table: &mut Table) {
             &["boss", "operator"],
         ),
         (
-            "a second certificate of one name",
+            "a second certificate with the same name",
             ("site", &["issue", ".", "viewer", "ada"]),
             &["viewer.ada.pem", "--replace"],
         ),
         (
-            "tokens that are no JSON",
+            "a token file that is not JSON",
             (page[0], &page[1..]),
             &["half.json:1", "spandrel token"],
         ),

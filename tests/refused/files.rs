@@ -41,13 +41,13 @@ type Mistake = (
 
 const MISTAKES: [Mistake; 20] = [
     (
-        "no value behind a key",
+        "a key without a value",
         "storeys = 2",
         "storeys = ",
         &["syntax", "must be TOML"],
     ),
     (
-        "a text for a number",
+        "a text instead of a number",
         "storeys = 2",
         "storeys = \"two\"",
         &["model.storeys", "\"two\"", "from 1 to 1000"],
@@ -83,13 +83,13 @@ const MISTAKES: [Mistake; 20] = [
         &["damping.ration", "not a known key", "ratio"],
     ),
     (
-        "a key that is there twice",
+        "a duplicate key",
         "storeys = 2",
         "storeys = 2\nstoreys = 3",
         &["syntax", "duplicate key"],
     ),
     (
-        "a name that no key expression can have",
+        "a name with characters that key expressions forbid",
         "\"house\"",
         "\"House/1\"",
         &["structure.name", "\"House/1\"", "1 to 64"],
@@ -107,7 +107,7 @@ const MISTAKES: [Mistake; 20] = [
         &["structure.name", "1 to 64"],
     ),
     (
-        "two parameters of one name",
+        "two parameters with the same name",
         "name = \"storey-2\"",
         "name = \"storey-1\" # again",
         &["parameter.name", "unique"],
@@ -119,7 +119,7 @@ const MISTAKES: [Mistake; 20] = [
         &["structure.sampling-rate-hz", "20000"],
     ),
     (
-        "a sensor on a floor that is not there",
+        "a sensor on a missing floor",
         "dof = \"floor-2\"",
         "dof = \"floor-9\"",
         &["dof", "floor-9", "floor-1"],
@@ -137,19 +137,19 @@ const MISTAKES: [Mistake; 20] = [
         &["node.channel.noise-std", "is 0", "1e-30"],
     ),
     (
-        "an excitation on no channel",
+        "an excitation measured on a missing channel",
         "measured-on = \"ground\"",
         "measured-on = \"attic\"",
         &["measured-on", "attic"],
     ),
     (
-        "a parameter of a storey that is not there",
+        "a parameter of a missing storey",
         "[\"storey-2\"]",
         "[\"storey-7\"]",
         &["parameter.of", "storey-7"],
     ),
     (
-        "damping beyond 1",
+        "a damping ratio above 1",
         "ratio = 0.02",
         "ratio = 2",
         &["damping.ratio", "2"],
@@ -199,7 +199,7 @@ pub fn structure_files(table: &mut Table) {
         &check("tower.toml"),
     );
     table.add_ended(
-        "a file that is not there",
+        "a missing file",
         (BAD_INPUT, &parts(&["nowhere.toml", "No such file"])),
         &check("nowhere.toml"),
     );
@@ -209,7 +209,7 @@ pub fn structure_files(table: &mut Table) {
         &check("."),
     );
     table.add_ended(
-        "a device without end",
+        "an endless device",
         (BAD_INPUT, &parts(&["/dev/zero", "regular file"])),
         &check("/dev/zero"),
     );
@@ -248,7 +248,7 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         &["spandrel.toml", "`thread`", "`threads`"],
     ),
     (
-        "no value behind a key",
+        "a key without a value",
         "structures = \n",
         &["spandrel.toml", "line 1"],
     ),
@@ -258,7 +258,7 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         &["spandrel.toml", "threads", "nonzero"],
     ),
     (
-        "a number for a list",
+        "a number instead of a list",
         "[bus]\nlisten = 7\n",
         &["spandrel.toml", "bus.listen", "sequence"],
     ),
@@ -268,22 +268,22 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         &["bus.mode", "boss", "peer, client or router"],
     ),
     (
-        "a root that no key expression can have",
+        "a root with characters that key expressions forbid",
         "[bus]\nroot = \"a/b\"\n",
         &["bus.root", "a/b", "a-z, 0-9 and -"],
     ),
     (
-        "a negative time to connect",
+        "a negative connection timeout",
         "[bus]\nconnect_timeout_s = -1\n",
         &["bus.connect_timeout_s", "-1", "at least 0 s"],
     ),
     (
-        "no endpoint",
+        "an invalid endpoint",
         "[bus]\nconnect = [\"nonsense\"]\n",
         &["connect", "nonsense", "<protocol>/<address>"],
     ),
     (
-        "plain TCP beyond this machine",
+        "plain TCP that other machines can reach",
         "[bus]\nlisten = [\"tcp/0.0.0.0:0\"]\n",
         &["tcp/0.0.0.0:0", "quic/"],
     ),
@@ -293,12 +293,12 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         &["tls/127.0.0.1:0", "quic/"],
     ),
     (
-        "no time between checkpoints",
+        "a checkpoint interval of zero",
         "[state]\ncheckpoint-s = 0\n",
         &["state.checkpoint-s", "0.01 and 3600 s"],
     ),
     (
-        "a negative time to force",
+        "a negative flush interval",
         "[state.recording]\nsync-s = -1\n",
         &["state.recording.sync-s", "-1"],
     ),
@@ -313,7 +313,7 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         &["history.database", "mysql://x", "postgres://"],
     ),
     (
-        "an address that is none",
+        "an invalid address",
         "[[notify.webhook]]\nurl = \"ftp://x\"\n",
         &["notify.webhook[0].url", "ftp://", "https://"],
     ),
@@ -334,22 +334,22 @@ const MISCONFIGURED: [(&str, &str, &[&str]); 21] = [
         ],
     ),
     (
-        "a delay of notices without end",
+        "an infinite delay of notices",
         "[notify]\nblind-after-s = inf\n",
         &["notify.blind-after-s", "inf", "30 days"],
     ),
     (
-        "a page beyond this machine",
+        "a page that other machines can reach",
         "[dashboard]\nlisten = \"0.0.0.0:0\"\n",
         &["0.0.0.0:0", "dashboard.tokens"],
     ),
     (
-        "tokens that are not there",
+        "a missing token file",
         "[dashboard]\ntokens = \"none.json\"\n",
         &["none.json", "No such file"],
     ),
     (
-        "tokens of nobody",
+        "a token file without tokens",
         "[dashboard]\ntokens = \"nobody.json\"\n",
         &["nobody.json", "no token"],
     ),
@@ -379,19 +379,14 @@ pub fn configurations(table: &mut Table) {
     large.set_len(2 << 20).unwrap();
     make_pipe(&folder.path().join("pipe.toml"));
     for (given, option, file, told) in [
-        ("no such file", "--config", "nowhere.toml", "No such file"),
+        ("a missing file", "--config", "nowhere.toml", "No such file"),
         (
             "a pipe without a writer",
             "--config",
             "pipe.toml",
             "regular file",
         ),
-        (
-            "a device without end",
-            "--config",
-            "/dev/zero",
-            "regular file",
-        ),
+        ("an endless device", "--config", "/dev/zero", "regular file"),
         ("a file of 2 MiB", "--config", "large.toml", "1048576"),
         (
             "a Zenoh file that is a pipe",
@@ -562,22 +557,22 @@ pub fn records(table: &mut Table) {
         |(at, line): (usize, &str)| (at == 0 || at % 2 == 1).then(|| format!("{line}\n"));
     let tables: [(&str, String, &[&str]); 10] = [
         (
-            "a column that is not there",
+            "a missing column",
             sound.replacen(",roof,", ",tower,", 1),
             &["rec.csv:1", "`roof`", "`tower`"],
         ),
         (
-            "a column that is there twice",
+            "a duplicate column",
             sound.replacen(",roof,", ",ground,", 1),
             &["rec.csv:1", "`ground`", "once"],
         ),
         (
-            "a row with a field too many",
+            "a row with an extra field",
             with_line(&sound, 42, |line| format!("{line},1")),
             &["rec.csv:42", "6 fields", "5"],
         ),
         (
-            "a field that is no number",
+            "a field that is not a number",
             with_line(&sound, 8, |line| last_field(line, "much")),
             &["rec.csv:8", "`much`"],
         ),
@@ -587,12 +582,12 @@ pub fn records(table: &mut Table) {
             &["rec.csv:8", "`inf`", "finite"],
         ),
         (
-            "a number beyond all doubles",
+            "a number above the range of a double",
             with_line(&sound, 8, |line| last_field(line, "1e999")),
             &["rec.csv:8", "1e999"],
         ),
         (
-            "rows from last to first",
+            "rows in reverse order",
             reversed(),
             &["rec.csv:3", "must increase"],
         ),
@@ -649,7 +644,7 @@ pub fn baselines_and_annotations(table: &mut Table) {
     let judged = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/judge");
     for (given, file, told) in [
         ("a pipe without a writer", "pipe.json", "regular file"),
-        ("a device without end", "/dev/zero", "regular file"),
+        ("an endless device", "/dev/zero", "regular file"),
         ("a file of 65 MiB", "large.json", "67108864"),
     ] {
         let told = parts(&[file, told]);
@@ -676,7 +671,7 @@ fn huge_records(table: &mut Table, folder: &Path) {
     make_pipe(&folder.join("pipe.csv"));
     for (given, record) in [
         ("a pipe without a writer", "pipe.csv"),
-        ("a device without end", "/dev/zero"),
+        ("an endless device", "/dev/zero"),
     ] {
         let told = parts(&[record, "pipe, a device", "regular file"]);
         table.add_ended(given, (BAD_INPUT, &told), &estimate(record));
@@ -769,7 +764,7 @@ fn damaged_formats(folder: &Path) -> Vec<(&'static str, String, Vec<u8>, &'stati
             &["zip archive", "whole"],
         ),
         (
-            "MCAP with a bit turned",
+            "MCAP with a flipped bit",
             "turned.mcap".into(),
             turned,
             &["MCAP"],

@@ -117,10 +117,10 @@ pub async fn all(table: &mut Table) {
     for (sequence, given, told) in [
         (
             1,
-            "a file of something else",
+            "a file that is not a checkpoint",
             "it is not a Spandrel checkpoint",
         ),
-        (2, "a bit turned", "it is damaged"),
+        (2, "a flipped bit", "it is damaged"),
         (3, "cut off", "it is damaged"),
         (
             4,
@@ -137,7 +137,7 @@ pub async fn all(table: &mut Table) {
         let observed = told_of(&log, file.file_name().unwrap().to_str().unwrap(), "why=");
         let is_aside = !file.exists() && file.with_extension("checkpoint.refused").is_file();
         let expected = format!(
-            "set aside as `….checkpoint.refused`, saying {}; the sound one is taken",
+            "set aside as `….checkpoint.refused`, with the reason {}; the valid one is used",
             code(told)
         );
         table.add(
@@ -153,7 +153,7 @@ pub async fn all(table: &mut Table) {
     let told = "it has layout version 9999";
     table.add(
         "of alert, of a newer version",
-        &format!("as above, saying {}", code(told)),
+        &format!("as above, with the reason {}", code(told)),
         &observed,
         is_aside && observed.contains(told),
     );
@@ -168,7 +168,7 @@ pub async fn all(table: &mut Table) {
         .unwrap()
         .to_owned();
     table.add(
-        "a segment that is none",
+        "a file that is not a segment",
         "set aside as `….unreadable`",
         &observed,
         aside && !foreign.exists(),
@@ -181,7 +181,7 @@ pub async fn all(table: &mut Table) {
         .to_owned();
     table.add(
         "the end of a segment cut off",
-        &format!("{}; what is whole is kept", code(torn)),
+        &format!("{}; complete records are kept", code(torn)),
         &observed,
         observed.contains(torn),
     );
@@ -203,7 +203,7 @@ pub async fn all(table: &mut Table) {
         .replace(&*state.to_string_lossy(), "STATE")
         .replace(site.keys().root().as_str(), "ROOT");
     table.add_ended(
-        "a recording of other channels",
+        "a recording with other channels",
         (2, &told),
         &crate::support::Finished { stderr, ..finished },
     );

@@ -185,7 +185,7 @@ async fn samples(table: &mut Table, running: &mut Running) {
             cut,
             ("refused-undecodable", 1),
         ),
-        ("a byte too many", SAMPLES, long, ("refused-undecodable", 1)),
+        ("one extra byte", SAMPLES, long, ("refused-undecodable", 1)),
         (
             "text",
             SAMPLES,
@@ -205,25 +205,25 @@ async fn samples(table: &mut Table, running: &mut Running) {
             ("refused-malformed", 1),
         ),
         (
-            "a sampling rate that is not a number",
+            "a sampling rate of NaN",
             SAMPLES,
             changed(&|block| block.sampling_rate_hz = f64::NAN),
             ("refused-malformed", 1),
         ),
         (
-            "no channel",
+            "no channels",
             SAMPLES,
             changed(&|block| block.channels = 0),
             ("refused-malformed", 1),
         ),
         (
-            "samples that are no multiple of the channels",
+            "a number of samples that is not a multiple of the channels",
             SAMPLES,
             ragged,
             ("refused-malformed", 1),
         ),
         (
-            "numbers past the last one",
+            "sequence numbers beyond the largest one",
             SAMPLES,
             changed(&|block| block.header.sequence = u64::MAX),
             ("refused-malformed", 1),
@@ -247,7 +247,7 @@ async fn samples(table: &mut Table, running: &mut Running) {
             ("impossible-blocks", 1),
         ),
         (
-            "a number far ahead",
+            "a sequence number far ahead",
             SAMPLES,
             changed(&|block| block.header.sequence = 1 << 60),
             ("impossible-blocks", 1),
@@ -372,7 +372,7 @@ async fn values(table: &mut Table, running: &mut Running) -> std::ops::Range<usi
     running
         .add(
             table,
-            "a block that comes again",
+            "a duplicate block",
             ("ingest", "duplicate-items", 10),
         )
         .await;
@@ -438,7 +438,7 @@ async fn frames(table: &mut Table, running: &mut Running) {
             "refused-encoding",
         ),
         (
-            "frames, cut off",
+            "truncated frames",
             FrameBlock::encoding(),
             whole[..whole.len() - 5].to_vec(),
             "refused-undecodable",
@@ -469,7 +469,7 @@ async fn frames(table: &mut Table, running: &mut Running) {
     running
         .add(
             table,
-            "samples where estimates are put",
+            "samples on the topic of estimates",
             ("alert", "refused-encoding", 1),
         )
         .await;
@@ -556,7 +556,7 @@ async fn json(table: &mut Table, running: &mut Running) {
     let json = "application/json";
     for (given, key, payload, (service, reason)) in [
         (
-            "a displayed value that is no JSON",
+            "a displayed value that is not JSON",
             &value,
             b"0.85".to_vec(),
             ("dashboard", "refused-undecodable"),
@@ -568,7 +568,7 @@ async fn json(table: &mut Table, running: &mut Running) {
             ("dashboard", "refused-undecodable"),
         ),
         (
-            "a status that is no JSON",
+            "a status that is not JSON",
             &status,
             vec![0xff; 10],
             ("dashboard", "refused-undecodable"),
@@ -580,13 +580,13 @@ async fn json(table: &mut Table, running: &mut Running) {
             ("dashboard", "refused-key-too-long"),
         ),
         (
-            "an acknowledgement that ends early",
+            "an incomplete acknowledgement",
             &key,
             b"{\"who\": ".to_vec(),
             ("alert", "acknowledgement-undecodable"),
         ),
         (
-            "an acknowledgement by a number",
+            "an acknowledgement with a number instead of a name",
             &key,
             b"{\"who\": 7}".to_vec(),
             ("alert", "acknowledgement-undecodable"),
@@ -598,7 +598,7 @@ async fn json(table: &mut Table, running: &mut Running) {
             ("alert", "acknowledgement-on-another-key"),
         ),
         (
-            "an acknowledgement for no parameter",
+            "an acknowledgement for an unknown parameter",
             &elsewhere,
             of("storey-9"),
             ("alert", "acknowledgement-on-another-key"),
@@ -620,17 +620,17 @@ async fn queries(table: &mut Table, running: &Running) {
     let of_history = running.keys.history(&name("storey-1"));
     for (given, selector, told) in [
         (
-            "frames after a number that is none",
+            "frames after an invalid number",
             format!("{}?after=-1", running.keys.recording()),
             &["after", "-1"][..],
         ),
         (
-            "frames up to a limit that is none",
+            "frames up to an invalid limit",
             format!("{}?limit=many", running.keys.recording()),
             &["limit", "many"],
         ),
         (
-            "estimates after a number that is none",
+            "estimates after an invalid number",
             format!("{}?after=x", running.keys.estimates_buffer()),
             &["after", "x"],
         ),

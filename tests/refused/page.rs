@@ -119,17 +119,17 @@ fn requests(table: &mut Table, page: &Page) {
     let from_elsewhere = format!("{json}Origin: https://example.org\r\n");
     let cases: [Asked<'_>; 23] = [
         (
-            "a path that is not there",
+            "an unknown path",
             ["GET", "/api/nothing", "", ""],
             ("404", &["/api/nothing", "openapi.json"]),
         ),
         (
-            "a path out of the page",
+            "a path outside the page",
             ["GET", "/../../etc/passwd", "", ""],
             ("404", &["etc/passwd"]),
         ),
         (
-            "a structure that is not there",
+            "an unknown structure",
             ["GET", "/api/structures/tower", "", ""],
             ("404", &["`tower`", "house"]),
         ),
@@ -139,27 +139,27 @@ fn requests(table: &mut Table, page: &Page) {
             ("400", &[]),
         ),
         (
-            "a method that is not taken",
+            "a method that the path does not support",
             ["POST", "/api/structures", "", ""],
             ("405", &["POST"]),
         ),
         (
-            "a method that is none",
+            "an unknown method",
             ["FLY", "/api/structures", "", ""],
             ("405", &["FLY"]),
         ),
         (
-            "a number of points that is none",
+            "an invalid number of points",
             ["GET", &format!("{history}?points=none"), "", ""],
             ("400", &["points"]),
         ),
         (
-            "an unknown query",
+            "an unknown query parameter",
             ["GET", &format!("{history}?until=5"), "", ""],
             ("400", &["until"]),
         ),
         (
-            "a series that is not there",
+            "an unknown series",
             ["GET", &format!("{history}?series=parameter/roof"), "", ""],
             ("400", &["parameter/roof"]),
         ),
@@ -169,17 +169,17 @@ fn requests(table: &mut Table, page: &Page) {
             ("400", &["from"]),
         ),
         (
-            "a state that is none",
+            "an unknown state",
             ["GET", "/api/alerts?state=angry", "", ""],
             ("400", &["angry"]),
         ),
         (
-            "a body that is no JSON",
+            "a body that is not JSON",
             ["POST", acknowledge, json, "{"],
             ("400", &["JSON"]),
         ),
         (
-            "a body without what it must have",
+            "a body without a required field",
             ["POST", acknowledge, json, "{\"note\":\"x\"}"],
             ("422", &["who"]),
         ),
@@ -260,13 +260,13 @@ fn requests(table: &mut Table, page: &Page) {
     );
     page.add(
         table,
-        "bytes that are no HTTP",
+        "bytes that are not HTTP",
         ("400", &[]),
         &page.send(b"\x00\x01\x02 spandrel\r\n\r\n"),
     );
     page.add(
         table,
-        "TLS where there is none",
+        "TLS to a page without TLS",
         ("400", &[]),
         &page.send(b"\x16\x03\x01\x00\x05hello\r\n\r\n"),
     );
@@ -279,17 +279,17 @@ async fn sockets(table: &mut Table, page: &Page) {
     let foreign = format!("{socket}Origin: https://example.org\r\n");
     let cases: [Asked<'_>; 4] = [
         (
-            "a request that opens none",
+            "a request that does not open a WebSocket",
             ["GET", "/api/live", "", ""],
             ("400", &["WebSocket"]),
         ),
         (
-            "a structure that is not there",
+            "an unknown structure",
             ["GET", "/api/live?structure=tower", socket, ""],
             ("404", &["`tower`", "house"]),
         ),
         (
-            "an unknown query",
+            "an unknown query parameter",
             ["GET", "/api/live?struct=house", socket, ""],
             ("400", &["struct"]),
         ),
@@ -309,11 +309,11 @@ async fn sockets(table: &mut Table, page: &Page) {
     }
     for (given, message, expected) in [
         (
-            "a text that asks for something",
+            "a text with a request",
             Message::text("{\"subscribe\":\"all\"}"),
-            "goes on",
+            "continues",
         ),
-        ("bytes", Message::binary(vec![0xff; 100]), "goes on"),
+        ("bytes", Message::binary(vec![0xff; 100]), "continues"),
         (
             "a message of 5 kB",
             Message::text("a".repeat(5_000)),
@@ -348,7 +348,7 @@ async fn answer_to(page: &Page, message: Message) -> String {
     })
     .await;
     (if pinged.is_ok() && goes_on {
-        "goes on"
+        "continues"
     } else {
         "closed"
     })
@@ -393,7 +393,7 @@ fn with_tokens(table: &mut Table, site: &Site) {
             ("401", &["no valid token"]),
         ),
         (
-            "a cookie that nobody has given",
+            "an invented cookie",
             [
                 "GET",
                 "/api/structures",
@@ -403,12 +403,12 @@ fn with_tokens(table: &mut Table, site: &Site) {
             ("401", &["no valid token"]),
         ),
         (
-            "that of a viewer for an acknowledgement",
+            "a viewer token for an acknowledgement",
             ["POST", acknowledge, &of_viewer, "{\"who\":\"Ada\"}"],
             ("403", &["viewer", "operator"]),
         ),
         (
-            "a session asked for with another body",
+            "a session request with another body",
             ["POST", "/api/session", json, "[]"],
             ("400", &["the body is not a token"]),
         ),
@@ -428,7 +428,7 @@ fn with_tokens(table: &mut Table, site: &Site) {
     let last = answers[9].split(", must wait").next().unwrap();
     page.add(
         table,
-        "eleven wrong ones from one address",
+        "eleven wrong tokens from one address",
         ("429", &["too many wrong tokens"]),
         last,
     );
