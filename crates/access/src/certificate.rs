@@ -13,7 +13,7 @@ impl Party {
     /// another authority.
     ///
     /// # Errors
-    /// The file cannot be read or is not a certificate.
+    /// Returns an error if the file cannot be read or is not a certificate.
     pub fn of_certificate(path: &Path) -> Result<Option<Self>, AccessError> {
         let text = read_small_file(path);
         let text = text.map_err(|source| AccessError::File {

@@ -46,7 +46,7 @@ pub struct RouterPlan<'p> {
 /// Returns the configuration file of a router, in the format of `zenohd` and `spandrel router`.
 ///
 /// # Errors
-/// An endpoint is not `quic/…`, or a path is not UTF-8.
+/// Returns an error if an endpoint is not `quic/…`, or if a path is not UTF-8.
 pub fn router_file(plan: &RouterPlan<'_>) -> Result<String, AccessError> {
     if let Some(endpoint) = plan
         .listen

@@ -57,7 +57,8 @@ impl SiteFolder {
     /// Creates an authority with this name in a folder. Creates the folder if it is missing.
     ///
     /// # Errors
-    /// The authority already exists and must not be replaced, or the folder cannot be written.
+    /// Returns an error if the authority already exists and must not be replaced, or if the folder
+    /// cannot be written.
     pub fn create(
         folder: &Path,
         name: &str,
@@ -109,7 +110,7 @@ impl SiteFolder {
     /// Opens the existing folder of a site.
     ///
     /// # Errors
-    /// The folder lacks the certificate or the private key of an authority.
+    /// Returns an error if the folder lacks the certificate or the private key of an authority.
     pub fn open(folder: &Path) -> Result<Self, AccessError> {
         for file in [AUTHORITY_FILE, AUTHORITY_KEY_FILE] {
             if !folder.join(file).is_file() {
@@ -210,7 +211,7 @@ impl SiteFolder {
     /// Returns all holders of a certificate in this folder, sorted by role and name.
     ///
     /// # Errors
-    /// The folder cannot be read.
+    /// Returns an error if the folder cannot be read.
     pub fn parties(&self) -> Result<Vec<Party>, AccessError> {
         let unread = |source| AccessError::File {
             what: "read",
@@ -230,7 +231,7 @@ impl SiteFolder {
     /// Returns the router with this name, or the only router if `name` is `None`.
     ///
     /// # Errors
-    /// There is no such router, or there are several and `name` is `None`.
+    /// Returns an error if there is no such router, or if there are several and `name` is `None`.
     pub fn router(&self, name: Option<&str>) -> Result<Party, AccessError> {
         let routers = self
             .parties()?

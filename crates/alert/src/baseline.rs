@@ -148,9 +148,9 @@ impl Baseline {
     /// of the parameters of each record, in their order.
     ///
     /// # Errors
-    /// Fails if there are no records, or if a record has a different number of parameters. Also
-    /// fails if a parameter is too uncertain within its records, or if the records differ by more
-    /// than a stated scatter permits.
+    /// Returns an error if there are no records, or if a record has a different number of
+    /// parameters. Also fails if a parameter is too uncertain within its records, or if the records
+    /// differ by more than a stated scatter permits.
     pub fn from_records(
         structure: &str,
         parameters: &[&str],

@@ -89,7 +89,8 @@ impl ModelCheck {
     /// compare.
     ///
     /// # Errors
-    /// The matrices of the model do not fit, which reading the structure file has excluded.
+    /// Returns an error if the matrices of the model do not fit, which reading the structure file
+    /// has excluded.
     pub(crate) fn new(structure: &Structure) -> Result<Option<Self>, AlertError> {
         let (Some(plan), Some(model)) = (structure.modal(), structure.compared_model()) else {
             return Ok(None);

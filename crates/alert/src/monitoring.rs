@@ -111,7 +111,7 @@ impl Monitoring {
     /// Creates the monitoring of a structure without any data.
     ///
     /// # Errors
-    /// Fails if the name of a parameter or channel cannot be a key.
+    /// Returns an error if the name of a parameter or channel cannot be a key.
     pub(crate) fn new(structure: &Structure) -> Result<Self, AlertError> {
         let named = |text: &str| {
             Name::new(text).map_err(|source| AlertError::Name {

@@ -127,8 +127,8 @@ impl spandrel_service::Service for AlertService {
     /// that the new file does not raise end.
     ///
     /// # Errors
-    /// Fails if the rules do not match the structure, a name cannot be a key, checkpoints cannot be
-    /// written, or the bus rejects a declaration.
+    /// Returns an error if the rules do not match the structure, a name cannot be a key,
+    /// checkpoints cannot be written, or the bus rejects a declaration.
     fn start(plan: &AlertPlan) -> BoxedFuture<'_, Result<Self, AlertError>> {
         Self::start_from(plan)
     }
@@ -136,7 +136,7 @@ impl spandrel_service::Service for AlertService {
     /// Runs until `stop`. Estimates that have arrived by then are still processed.
     ///
     /// # Errors
-    /// Fails if the bus is closed.
+    /// Returns an error if the bus is closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), AlertError>> {
         self.run_until(stop)
     }

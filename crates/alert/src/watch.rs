@@ -49,8 +49,8 @@ impl Watch {
     /// `baseline` replaces a reference that a rule would learn, if it contains the parameter.
     ///
     /// # Errors
-    /// Fails if a rule does not match the parameters, a reference is invalid, or the baseline
-    /// belongs to another structure.
+    /// Returns an error if a rule does not match the parameters, a reference is invalid, or the
+    /// baseline belongs to another structure.
     pub fn new(structure: &Structure, baseline: Option<&Baseline>) -> Result<Self, AlertError> {
         if let Some(baseline) = baseline.filter(|baseline| baseline.structure() != structure.name())
         {
@@ -189,7 +189,7 @@ impl Watch {
     /// at the display rate (Hz).
     ///
     /// # Errors
-    /// As [`Watch::handle_block`].
+    /// Returns the same errors as [`Watch::handle_block`].
     pub fn handle_block_with_display(
         &mut self,
         block: &EstimateBlock,

@@ -42,7 +42,7 @@ impl Building {
     /// Creates a building of `storeys` storeys, at least five, and simulates `frames` frames.
     ///
     /// # Errors
-    /// The structure file or the settings of its filter are not valid.
+    /// Returns an error if the structure file or the settings of its filter are not valid.
     pub fn new(storeys: usize, frames: usize) -> Result<Self, Box<dyn Error>> {
         Self::parse(storeys, frames, &(text(storeys) + &parameters(storeys)))
     }
@@ -51,7 +51,7 @@ impl Building {
     /// filter.
     ///
     /// # Errors
-    /// The same as for [`Self::new`].
+    /// Returns the same errors as [`Self::new`].
     pub fn linear(storeys: usize, frames: usize) -> Result<Self, Box<dyn Error>> {
         Self::parse(storeys, frames, &text(storeys))
     }
@@ -83,7 +83,7 @@ impl Building {
     /// Creates Spandrel's filter, which identifies the sensor noise.
     ///
     /// # Errors
-    /// The settings do not fit the model.
+    /// Returns an error if the settings do not fit the model.
     pub fn filter(&self) -> Result<ExtendedKalmanFilter<StructureModel>, FilterError> {
         ExtendedKalmanFilter::new(self.structure.model(), self.settings.clone())
     }
@@ -92,7 +92,7 @@ impl Building {
     /// filters in Python work like this.
     ///
     /// # Errors
-    /// The settings do not fit the model.
+    /// Returns an error if the settings do not fit the model.
     pub fn plain_filter(&self) -> Result<ExtendedKalmanFilter<StructureModel>, FilterError> {
         ExtendedKalmanFilter::new(self.structure.model(), self.plain_settings())
     }
@@ -114,7 +114,7 @@ impl Building {
 /// Takes one step with samples of the accelerometers. The ground motion is unknown.
 ///
 /// # Errors
-/// The filter has diverged.
+/// Returns an error if the filter has diverged.
 pub fn step(
     filter: &mut ExtendedKalmanFilter<StructureModel>,
     samples: &[f64],

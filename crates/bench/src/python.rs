@@ -52,7 +52,7 @@ pub struct PythonPeer {
 /// core.
 ///
 /// # Errors
-/// The interpreter cannot be run, or the script fails.
+/// Returns an error if the interpreter cannot be run, or if the script fails.
 pub fn run(
     interpreter: &Path,
     building: &Building,

@@ -49,7 +49,7 @@ impl Monitored {
     /// frames per second. It has 127 states.
     ///
     /// # Errors
-    /// The structure file is not valid.
+    /// Returns an error if the structure file is not valid.
     pub fn bridge(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (mut text, path) = example("three-pier-bridge")?;
         text = text.replace("sampling-rate-hz = 250", "sampling-rate-hz = 400");
@@ -72,7 +72,7 @@ impl Monitored {
     /// and modes in the kilohertz range.
     ///
     /// # Errors
-    /// The structure file is not valid.
+    /// Returns an error if the structure file is not valid.
     pub fn tower(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (text, path) = example("tower")?;
         let text = text.replace("sampling-rate-hz = 500", "sampling-rate-hz = 50");
@@ -83,7 +83,7 @@ impl Monitored {
     /// bars are the components that [`Self::bank`] requires.
     ///
     /// # Errors
-    /// The structure file is not valid.
+    /// Returns an error if the structure file is not valid.
     pub fn dome(frames: usize) -> Result<Self, Box<dyn Error>> {
         let (text, path) = example("dome-bars")?;
         Ok(Self::new(
@@ -96,7 +96,7 @@ impl Monitored {
     /// Creates the filter of the structure.
     ///
     /// # Errors
-    /// The filter settings of the structure are not valid.
+    /// Returns an error if the filter settings of the structure are not valid.
     pub fn filter(&self) -> Result<ExtendedKalmanFilter<StructureModel>, FilterError> {
         ExtendedKalmanFilter::new(self.structure.model(), self.structure.filter_settings()?)
     }
@@ -105,7 +105,7 @@ impl Monitored {
     /// separates one component.
     ///
     /// # Errors
-    /// The structure has fewer than eight components.
+    /// Returns an error if the structure has fewer than eight components.
     pub fn bank(&self) -> Result<ClassBank<spandrel_structure::StructureClasses>, FilterError> {
         use spandrel_filter::ComponentSystem;
         let system = self.structure.class_system();

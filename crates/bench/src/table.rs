@@ -73,7 +73,7 @@ fn microseconds(time_s: f64) -> String {
 /// Plots the time of a step against the number of storeys, on logarithmic axes.
 ///
 /// # Errors
-/// The file cannot be written.
+/// Returns an error if the file cannot be written.
 pub fn plot(rows: &[Row], path: &Path) -> Result<(), Box<dyn Error>> {
     type Line = (&'static str, fn(&Row) -> f64, RGBColor);
     const LINES: [Line; 5] = [

@@ -32,7 +32,7 @@ impl Identity {
     /// Encodes a state as a checkpoint.
     ///
     /// # Errors
-    /// The state cannot be serialised.
+    /// Returns an error if the state cannot be serialised.
     pub fn seal<T: Serialize>(&self, state: &T) -> Result<Vec<u8>, CheckpointError> {
         seal(self, state).map_err(|reason| CheckpointError::Encode {
             kind: self.kind,
@@ -43,7 +43,7 @@ impl Identity {
     /// Decodes the state from a checkpoint of this identity.
     ///
     /// # Errors
-    /// The bytes are damaged, or they belong to another identity.
+    /// Returns an error if the bytes are damaged, or they belong to another identity.
     pub fn open<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Refusal> {
         // Extreme numbers in a state may panic in the decoder, for example if the product of matrix
         // dimensions overflows. Such a file must not terminate the service at every start.

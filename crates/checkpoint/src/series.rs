@@ -68,7 +68,7 @@ impl Checkpoints {
     /// does not wait for that: the checkpoints are then empty.
     ///
     /// # Errors
-    /// The folder cannot be created or read for another reason.
+    /// Returns an error if the folder cannot be created or read for another reason.
     pub fn open(folder: &Path, identity: Identity) -> Result<Self, CheckpointError> {
         let checkpoints = Self {
             folder: folder.to_owned(),
@@ -109,8 +109,8 @@ impl Checkpoints {
     /// the disk with the state is probably not mounted, and a new folder would hide that.
     ///
     /// # Errors
-    /// The disk is full, or the file system reports another error. Earlier checkpoints remain
-    /// intact.
+    /// Returns an error if the disk is full, or if the file system reports another error. Earlier
+    /// checkpoints remain intact.
     pub fn save<T: Serialize>(&self, position: Position, state: &T) -> Result<(), CheckpointError> {
         let bytes = self.identity.seal(state)?;
         let mut above = self.folder.ancestors().skip(1).take(2);
@@ -244,7 +244,7 @@ impl Checkpoints {
     /// two are kept.
     ///
     /// # Errors
-    /// A file cannot be removed.
+    /// Returns an error if a file cannot be removed.
     pub fn forget_before(&self, needed: Option<Position>) -> Result<(), CheckpointError> {
         let positions = self.positions()?;
         let last_two = positions.len().saturating_sub(2);
@@ -275,7 +275,7 @@ impl Checkpoints {
     /// Returns the positions of the existing files in ascending order.
     ///
     /// # Errors
-    /// The folder cannot be read.
+    /// Returns an error if the folder cannot be read.
     pub fn positions(&self) -> Result<Vec<Position>, CheckpointError> {
         let failed = |reason| CheckpointError::Io {
             what: "read",
@@ -372,7 +372,7 @@ pub fn sync_name(path: &Path) {
 /// is on disk. A failure, also of the power, leaves the old file or the new one.
 ///
 /// # Errors
-/// The file cannot be written or renamed. An existing file is then unchanged.
+/// Returns an error if the file cannot be written or renamed. An existing file is then unchanged.
 pub fn replace_private_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.as_os_str().to_owned();
     name.push(".new");

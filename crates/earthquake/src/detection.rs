@@ -184,7 +184,7 @@ impl Detection {
     /// Creates a detection that has seen no frame.
     ///
     /// # Errors
-    /// A setting is out of range.
+    /// Returns an error if a setting is out of range.
     pub fn new(settings: DetectionSettings) -> Result<Self, EarthquakeError> {
         for (setting, found) in [
             ("sampling rate", settings.rate_hz),

@@ -75,7 +75,8 @@ impl Recurrence {
 /// This is the pseudo-acceleration of design codes.
 ///
 /// # Errors
-/// The step or the period is not positive, or the damping ratio is not between 0 and 1.
+/// Returns an error if the step or the period is not positive, or if the damping ratio is not
+/// between 0 and 1.
 pub fn spectral_acceleration(
     ground: &[f64],
     step_s: f64,

@@ -101,7 +101,7 @@ pub fn window_s(fundamental_hz: f64) -> f64 {
 /// length.
 ///
 /// # Errors
-/// A setting is not positive.
+/// Returns an error if a setting is not positive.
 pub fn windows(
     responses: &[&[f64]],
     settings: &PhaseSettings,

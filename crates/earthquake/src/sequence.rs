@@ -275,7 +275,7 @@ impl Sequence {
     /// Creates an empty sequence.
     ///
     /// # Errors
-    /// A setting is out of range.
+    /// Returns an error if a setting is out of range.
     pub fn new(settings: JudgeSettings) -> Result<Self, EarthquakeError> {
         settings.check()?;
         Ok(Self {

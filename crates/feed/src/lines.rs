@@ -97,7 +97,7 @@ impl LineFormat {
     /// Reads the samples of one line. A blank line, and the header of a CSV table, have none.
     ///
     /// # Errors
-    /// The line is malformed.
+    /// Returns an error if the line is malformed.
     pub fn parse(&self, line: &str) -> Result<Vec<Packet>, LineFault> {
         let line = line.trim();
         if line.is_empty() {

@@ -75,7 +75,7 @@ impl StationXml {
     /// Reads a file.
     ///
     /// # Errors
-    /// The file cannot be read, is not XML or has no channel.
+    /// Returns an error if the file cannot be read, is not XML or has no channel.
     pub fn read(path: &Path) -> Result<Self, StationXmlError> {
         let read = read_text_up_to(path, MAX_FILE_BYTES);
         Self::parse(&read.map_err(StationXmlError::Read)?)
@@ -84,7 +84,7 @@ impl StationXml {
     /// Reads the text of a file.
     ///
     /// # Errors
-    /// The text is not XML or has no channel.
+    /// Returns an error if the text is not XML or has no channel.
     pub fn parse(text: &str) -> Result<Self, StationXmlError> {
         let document = Document::parse(text).map_err(StationXmlError::Xml)?;
         let mut channels = Vec::new();

@@ -45,7 +45,7 @@ impl HannTransform {
     /// frequency zero to half the sampling rate.
     ///
     /// # Panics
-    /// There are more or fewer `samples` than a window has.
+    /// Panics if there are more or fewer `samples` than a window has.
     pub fn transform(&self, samples: impl Iterator<Item = f64>) -> Vec<Complex<f64>> {
         let mut input: Vec<f64> = samples.collect();
         let mean = input.iter().sum::<f64>() / self.window_len() as f64;

@@ -143,8 +143,8 @@ impl Fusion {
     /// `epoch` must be higher at each start.
     ///
     /// # Errors
-    /// Fails if identification is not distributed, the station rejects its settings, or a name in
-    /// the structure file cannot be part of a key.
+    /// Returns an error if identification is not distributed, the station rejects its settings, or
+    /// a name in the structure file cannot be part of a key.
     pub fn new(
         structure: &Structure,
         source: impl Into<String>,

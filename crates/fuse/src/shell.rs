@@ -79,8 +79,8 @@ impl spandrel_service::Service for FuseService {
     /// If [`Monitored::remembering`] is set, the station resumes from its last checkpoint.
     ///
     /// # Errors
-    /// Fails if the nodes do not identify the structure, checkpoints cannot be written, or the bus
-    /// rejects a declaration.
+    /// Returns an error if the nodes do not identify the structure, checkpoints cannot be written,
+    /// or the bus rejects a declaration.
     fn start(plan: &FusePlan) -> BoxedFuture<'_, Result<Self, FuseError>> {
         Self::start_from(plan)
     }
@@ -89,7 +89,7 @@ impl spandrel_service::Service for FuseService {
     /// second.
     ///
     /// # Errors
-    /// Fails if the bus is closed.
+    /// Returns an error if the bus is closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), FuseError>> {
         self.run_until(stop)
     }

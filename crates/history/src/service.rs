@@ -136,7 +136,7 @@ impl spandrel_service::Service for HistoryService {
     /// a path that can never be a file is an error.
     ///
     /// # Errors
-    /// Fails if the path can never be a file, or the bus rejects a declaration.
+    /// Returns an error if the path can never be a file, or the bus rejects a declaration.
     fn start(plan: &HistoryPlan) -> BoxedFuture<'_, Result<Self, HistoryError>> {
         Self::start_from(plan)
     }
@@ -144,7 +144,7 @@ impl spandrel_service::Service for HistoryService {
     /// Runs until `stop`. Messages taken by then are still written.
     ///
     /// # Errors
-    /// Fails if the bus is closed.
+    /// Returns an error if the bus is closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), HistoryError>> {
         self.run_until(stop)
     }

@@ -57,7 +57,7 @@ impl Address {
     /// Parses the configured address.
     ///
     /// # Errors
-    /// Fails if the text is not a file, `sqlite:FILE` or `postgres://…`.
+    /// Returns an error if the text is not a file, `sqlite:FILE` or `postgres://…`.
     pub fn parse(text: &str) -> Result<Self, HistoryError> {
         if text.starts_with("postgres://") || text.starts_with("postgresql://") {
             return Ok(Self::Postgres(text.to_owned()));

@@ -42,7 +42,7 @@ impl Estimator {
     /// Creates the estimator that the structure file specifies, at its prior.
     ///
     /// # Errors
-    /// Fails if a filter rejects its settings.
+    /// Returns an error if a filter rejects its settings.
     pub fn new(structure: &Structure) -> Result<Self, FilterError> {
         if let Some(keys) = structure.particles() {
             return Self::with_particles(structure, &ParticlePlan::of(&keys));
@@ -54,7 +54,7 @@ impl Estimator {
     /// particles.
     ///
     /// # Errors
-    /// Fails if a filter rejects its settings.
+    /// Returns an error if a filter rejects its settings.
     pub fn kalman(structure: &Structure) -> Result<Self, FilterError> {
         Ok(match structure.class_bank()? {
             Some(bank) => Self::Classes(Box::new(bank)),
@@ -69,7 +69,7 @@ impl Estimator {
     /// Creates a particle filter for the model of the structure, at its prior.
     ///
     /// # Errors
-    /// Fails if a setting is out of range.
+    /// Returns an error if a setting is out of range.
     pub fn with_particles(structure: &Structure, plan: &ParticlePlan) -> Result<Self, FilterError> {
         let particles = Particles::new(structure, plan)?;
         Ok(Self::Particles(Box::new(particles)))
@@ -79,8 +79,8 @@ impl Estimator {
     /// The estimates are available from the other methods.
     ///
     /// # Errors
-    /// Fails if the frame has the wrong size, or if the estimation has diverged and must be
-    /// restarted.
+    /// Returns an error if the frame has the wrong size, or if the estimation has diverged and must
+    /// be restarted.
     pub fn step(&mut self, frame: Frame<'_>) -> Result<Step, FilterError> {
         match self {
             Self::Filter(filter) => filter.step(frame),
@@ -102,7 +102,7 @@ impl Estimator {
     /// frame. Particles ignore it.
     ///
     /// # Errors
-    /// Fails if the length does not match the model, or a value is outside 0 to 1.
+    /// Returns an error if the length does not match the model, or a value is outside 0 to 1.
     pub fn set_reliability(&mut self, reliability: &[f64]) -> Result<(), FilterError> {
         match self {
             Self::Filter(filter) => filter.set_reliability(reliability),
@@ -114,7 +114,8 @@ impl Estimator {
     /// Restarts from the prior.
     ///
     /// # Errors
-    /// Fails if a filter rejects its settings, which cannot happen with settings accepted before.
+    /// Returns an error if a filter rejects its settings, which cannot happen with settings
+    /// accepted before.
     pub fn restart(&mut self) -> Result<(), FilterError> {
         match self {
             Self::Filter(filter) => {
@@ -130,7 +131,7 @@ impl Estimator {
     /// the prior. The means remain.
     ///
     /// # Errors
-    /// Fails if the covariance is singular.
+    /// Returns an error if the covariance is singular.
     pub fn set_parameter_std(&mut self, of_prior: f64) -> Result<(), FilterError> {
         let first = self.first();
         match self {
@@ -171,7 +172,8 @@ impl Estimator {
     /// run.
     ///
     /// # Errors
-    /// Fails if the state belongs to another kind of estimator, or does not match the models.
+    /// Returns an error if the state belongs to another kind of estimator, or does not match the
+    /// models.
     pub fn restore(&mut self, state: EstimatorState) -> Result<(), FilterError> {
         match (self, state) {
             (Self::Filter(filter), EstimatorState::Filter(state)) => filter.restore(state),

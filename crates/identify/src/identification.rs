@@ -255,7 +255,7 @@ impl Identification {
     /// `source`.
     ///
     /// # Errors
-    /// Fails if the filter rejects its settings, or a name cannot be a key.
+    /// Returns an error if the filter rejects its settings, or a name cannot be a key.
     pub fn new(structure: &Structure, source: impl Into<String>) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Filter {
             structure: structure.name().to_owned(),
@@ -269,7 +269,7 @@ impl Identification {
     /// same structure.
     ///
     /// # Errors
-    /// Fails if a name cannot be a key, or the band limit is invalid.
+    /// Returns an error if a name cannot be a key, or the band limit is invalid.
     pub fn with_estimator(
         structure: &Structure,
         source: impl Into<String>,

@@ -125,8 +125,8 @@ impl NodeIdentification {
     /// start.
     ///
     /// # Errors
-    /// Fails if identification is not distributed, there is no such node, or the filter rejects its
-    /// settings.
+    /// Returns an error if identification is not distributed, there is no such node, or the filter
+    /// rejects its settings.
     pub fn new(structure: &Structure, position: usize, epoch: u64) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Filter {
             structure: structure.name().to_owned(),

@@ -21,7 +21,7 @@ impl NodeScreening {
     /// Creates the view of a channel in training.
     ///
     /// # Errors
-    /// Fails if the name cannot be part of a key expression.
+    /// Returns an error if the name cannot be part of a key expression.
     pub(crate) fn new(structure: &str, channel: &str) -> Result<Self, IdentifyError> {
         let refused = |source| IdentifyError::Name {
             structure: structure.to_owned(),

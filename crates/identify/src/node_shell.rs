@@ -94,8 +94,8 @@ impl spandrel_service::Service for NodeService {
     /// later samples from the sensor's buffer.
     ///
     /// # Errors
-    /// Fails if the node cannot run its own identification, checkpoints cannot be written, or the
-    /// bus rejects a declaration.
+    /// Returns an error if the node cannot run its own identification, checkpoints cannot be
+    /// written, or the bus rejects a declaration.
     fn start(plan: &NodeServicePlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
         Self::start_from(plan)
     }
@@ -104,8 +104,8 @@ impl spandrel_service::Service for NodeService {
     /// one second.
     ///
     /// # Errors
-    /// Fails if the bus is closed, or if the filter has panicked. The next run then continues
-    /// without the samples that caused the panic.
+    /// Returns an error if the bus is closed, or if the filter has panicked. The next run then
+    /// continues without the samples that caused the panic.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), IdentifyError>> {
         self.run_until(stop)
     }

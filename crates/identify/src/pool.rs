@@ -20,7 +20,7 @@ impl FilterPool {
     /// Starts the threads, which end when the last clone of the pool is dropped.
     ///
     /// # Errors
-    /// Fails if the operating system cannot create a thread.
+    /// Returns an error if the operating system cannot create a thread.
     pub fn start(threads: NonZeroUsize) -> std::io::Result<Self> {
         let (jobs, waiting) = flume::unbounded::<Job>();
         for index in 0..threads.get() {

@@ -113,8 +113,8 @@ impl spandrel_service::Service for IdentifyService {
     /// the state of the leader.
     ///
     /// # Errors
-    /// Fails if the filter cannot be created, checkpoints cannot be written, or the bus rejects a
-    /// declaration.
+    /// Returns an error if the filter cannot be created, checkpoints cannot be written, or the bus
+    /// rejects a declaration.
     fn start(plan: &IdentifyPlan) -> BoxedFuture<'_, Result<Self, IdentifyError>> {
         Self::start_from(plan)
     }
@@ -123,7 +123,7 @@ impl spandrel_service::Service for IdentifyService {
     /// one second. The rest arrives again after a restart.
     ///
     /// # Errors
-    /// Fails if the bus is closed, or if the thread of a filter was lost.
+    /// Returns an error if the bus is closed, or if the thread of a filter was lost.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), IdentifyError>> {
         self.run_until(stop)
     }

@@ -44,7 +44,7 @@ impl DiskThread {
     /// Returns a handle, and starts the thread if it is not running.
     ///
     /// # Errors
-    /// The operating system cannot start a thread.
+    /// Returns an error if the operating system cannot start a thread.
     pub(crate) fn start() -> std::io::Result<Self> {
         Ok(Self { jobs: jobs()? })
     }

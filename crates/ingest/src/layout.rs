@@ -49,7 +49,7 @@ impl Layout {
     /// the effective maximum.
     ///
     /// # Errors
-    /// The sampling rate or the number of channels does not fit into a message.
+    /// Returns an error if the sampling rate or the number of channels does not fit into a message.
     pub fn new(
         nodes: Vec<NodeLayout>,
         sampling_rate_hz: f64,
@@ -78,8 +78,8 @@ impl Layout {
     /// Returns the layout of a structure.
     ///
     /// # Errors
-    /// The same as for [`Layout::new`], or the name of a node is not a valid chunk of a key
-    /// expression.
+    /// Returns the same errors as [`Layout::new`], and an error if the name of a node is not a
+    /// valid chunk of a key expression.
     pub fn of(structure: &Structure) -> Result<Self, LayoutError> {
         let mut nodes = Vec::new();
         for node in structure.nodes() {
@@ -103,7 +103,7 @@ impl Layout {
     /// Returns the channels of each node. `channels` contains their names in frame order.
     ///
     /// # Errors
-    /// The name of a channel is not a valid chunk of a key expression.
+    /// Returns an error if the name of a channel is not a valid chunk of a key expression.
     pub(crate) fn node_channels(
         &self,
         channels: &[String],

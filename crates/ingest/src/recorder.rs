@@ -183,7 +183,7 @@ impl Recorder {
     /// wait in memory until the disk accepts them.
     ///
     /// # Errors
-    /// The thread has panicked.
+    /// Returns an error if the thread has panicked.
     pub(crate) async fn record(
         mut self: Box<Self>,
         blocks: Vec<FrameBlock>,

@@ -268,8 +268,8 @@ impl spandrel_service::Service for IngestService {
     /// Validates the structure and connects to the bus.
     ///
     /// # Errors
-    /// The structure has no valid frame layout, the recording cannot be opened, or the bus rejects
-    /// a declaration.
+    /// Returns an error if the structure has no valid frame layout, the recording cannot be opened,
+    /// or the bus rejects a declaration.
     fn start(plan: &IngestPlan) -> BoxedFuture<'_, Result<Self, IngestError>> {
         Box::pin(Self::start_from(plan))
     }
@@ -277,7 +277,8 @@ impl spandrel_service::Service for IngestService {
     /// Runs until `stop` completes. Samples that have already arrived are still aligned.
     ///
     /// # Errors
-    /// The bus has been closed, or the recording is lost or cannot be closed.
+    /// Returns an error if the bus has been closed, or if the recording is lost or cannot be
+    /// closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), IngestError>> {
         self.run_until(stop)
     }
@@ -313,7 +314,7 @@ impl IngestService {
     /// like [`Service::start`](spandrel_service::Service::start).
     ///
     /// # Errors
-    /// The recording cannot be opened, or the bus rejects a declaration.
+    /// Returns an error if the recording cannot be opened, or if the bus rejects a declaration.
     pub fn start_with<'a>(
         layout: Layout,
         channels: Vec<String>,

@@ -108,7 +108,7 @@ impl Listener {
     /// Subscribes to one structure, or to all below the root.
     ///
     /// # Errors
-    /// Fails if Zenoh rejects a key expression or the session is closed.
+    /// Returns an error if Zenoh rejects a key expression or the session is closed.
     pub fn start<'a>(
         bus: &'a Bus,
         root: &'a Name,

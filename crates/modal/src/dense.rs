@@ -22,7 +22,8 @@ pub(crate) struct Svd {
 /// A QR decomposition first reduces the matrix to a square one.
 ///
 /// # Errors
-/// The iteration did not converge, or the matrix contains a value that is not finite.
+/// Returns an error if the iteration did not converge, or if the matrix contains a value that is
+/// not finite.
 pub(crate) fn svd(matrix: DMatrix<f64>) -> Result<Svd, ModalError> {
     let failed = ModalError::NotConverged {
         what: "singular value decomposition",
@@ -67,7 +68,8 @@ pub(crate) struct Eigen {
 /// Loan, *Matrix Computations*, section 7.6.4).
 ///
 /// # Errors
-/// The iteration did not converge, or the matrix contains a value that is not finite.
+/// Returns an error if the iteration did not converge, or if the matrix contains a value that is
+/// not finite.
 pub(crate) fn eigen(matrix: &DMatrix<f64>) -> Result<Eigen, ModalError> {
     let failed = ModalError::NotConverged {
         what: "eigenvalue decomposition",

@@ -46,7 +46,7 @@ impl EpochStream {
     /// Adds a frame: one value per channel, `NaN` if missing. Returns an epoch if one is complete.
     ///
     /// # Errors
-    /// The frame has another number of values than the settings have channels.
+    /// Returns an error if the frame has another number of values than the settings have channels.
     pub fn push(&mut self, frame: &[f64]) -> Result<Option<LadderEpoch>, ModalError> {
         if frame.iter().any(|value| !value.is_nan()) {
             self.missing = 0;

@@ -93,7 +93,8 @@ pub struct Identified {
 /// Identifies the modes of an epoch.
 ///
 /// # Errors
-/// Fewer than two channels or no reference are usable, or a decomposition does not converge.
+/// Returns an error if fewer than two channels or no reference are usable, or if a decomposition
+/// does not converge.
 pub fn identify(epoch: &Epoch) -> Result<Identified, ModalError> {
     let covariances = &epoch.covariances;
     let usable = covariances.outputs.len();

@@ -59,7 +59,7 @@ impl BandLadder {
     /// Creates a ladder with a single band, that of the settings.
     ///
     /// # Errors
-    /// The settings are not valid.
+    /// Returns an error if the settings are not valid.
     pub fn single(settings: &ModalSettings) -> Result<Self, ModalError> {
         Ok(Self::of(vec![ModalStream::new(settings)?]))
     }
@@ -69,7 +69,7 @@ impl BandLadder {
     /// A lower band is added while its blocks are long enough for its time lags.
     ///
     /// # Errors
-    /// The settings are not valid.
+    /// Returns an error if the settings are not valid.
     pub fn new(settings: &ModalSettings) -> Result<Self, ModalError> {
         let mut bands = vec![settings.clone()];
         while bands.len() < MOST_BANDS {
@@ -112,7 +112,7 @@ impl BandLadder {
     /// in all bands.
     ///
     /// # Errors
-    /// The frame has another number of values than the settings have channels.
+    /// Returns an error if the frame has another number of values than the settings have channels.
     pub fn push(&mut self, frame: &[f64]) -> Result<Option<LadderEpoch>, ModalError> {
         for (stream, waiting) in self.streams.iter_mut().zip(&mut self.waiting) {
             waiting.extend(stream.push(frame)?);
@@ -138,7 +138,7 @@ impl LadderEpoch {
     /// stays.
     ///
     /// # Errors
-    /// Too few channels are usable, or a decomposition does not converge.
+    /// Returns an error if too few channels are usable, or if a decomposition does not converge.
     pub fn identify(&self) -> Result<LadderModes, ModalError> {
         let bands: Result<Vec<Identified>, ModalError> = self.bands.iter().map(identify).collect();
         let bands = bands?;

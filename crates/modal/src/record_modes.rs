@@ -75,7 +75,7 @@ impl RecordModes {
     /// judged as a whole.
     ///
     /// # Errors
-    /// Too few channels are usable, or a decomposition does not converge.
+    /// Returns an error if too few channels are usable, or if a decomposition does not converge.
     pub fn push(&mut self, epoch: &LadderEpoch) -> Result<(), ModalError> {
         self.take(epoch, epoch.identify()?);
         Ok(())

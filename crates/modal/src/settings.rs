@@ -109,7 +109,7 @@ impl ModalSettings {
     /// Checks the settings and returns the lengths that follow from them.
     ///
     /// # Errors
-    /// As for [`Self::validate()`].
+    /// Returns the same errors as [`Self::validate()`].
     pub(crate) fn layout(&self) -> Result<Layout, ModalError> {
         self.check()?;
         let rate_hz = self.decimated_rate_hz();

@@ -125,7 +125,7 @@ impl ModalStream {
     /// Creates an empty stream.
     ///
     /// # Errors
-    /// The settings are not valid.
+    /// Returns an error if the settings are not valid.
     pub fn new(settings: &ModalSettings) -> Result<Self, ModalError> {
         let layout = settings.layout()?;
         let channels = settings.channels;
@@ -168,8 +168,8 @@ impl ModalStream {
     /// Adds a frame: one value per channel, `NaN` if missing. Returns an epoch if one is complete.
     ///
     /// # Errors
-    /// The frame has another number of values than the stream has channels. The state does not
-    /// change.
+    /// Returns an error if the frame has another number of values than the stream has channels. The
+    /// state does not change.
     pub fn push(&mut self, frame: &[f64]) -> Result<Option<Epoch>, ModalError> {
         if frame.len() != self.settings.channels {
             return Err(ModalError::Frame {

@@ -47,7 +47,7 @@ impl StiffnessUpdate {
     /// Starts the commissioning.
     ///
     /// # Errors
-    /// The settings have another number of parts than the model.
+    /// Returns an error if the settings have another number of parts than the model.
     pub fn new(model: PartModel, settings: UpdateSettings) -> Result<Self, ModalError> {
         match settings.prior_std.len() == model.parts() {
             true => Ok(Self {
@@ -97,8 +97,8 @@ impl StiffnessUpdate {
     /// An epoch without any mode does not count.
     ///
     /// # Errors
-    /// A decomposition fails, or no mode of the commissioning is one of the model. The
-    /// commissioning then starts again.
+    /// Returns an error if a decomposition fails, or if no mode of the commissioning is one of the
+    /// model. The commissioning then starts again.
     pub fn handle(
         &mut self,
         epoch: Vec<Option<SeenMode>>,

@@ -132,7 +132,8 @@ impl DeclaredModes {
     /// Creates the modes of a structure before its first epoch.
     ///
     /// # Errors
-    /// The name of a mode cannot be a key, which reading the structure file has excluded.
+    /// Returns an error if the name of a mode cannot be a key, which reading the structure file has
+    /// excluded.
     pub fn new(structure: &Name, plan: &ModalPlan) -> Result<Self, ModesError> {
         let names = plan.modes.iter().map(|mode| {
             Name::new(&mode.name).map_err(|source| ModesError::Name {

@@ -74,7 +74,7 @@ impl Following {
     /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// The state is one of other modes or bands.
+    /// Returns an error if the state belongs to other modes or bands.
     pub(crate) fn restore(&mut self, state: FollowingState) -> Result<(), &'static str> {
         if !state.epochs.settings().eq(self.epochs.settings()) {
             return Err("the state has other bands than the structure file");

@@ -54,8 +54,8 @@ impl spandrel_service::Service for ModesService {
     /// Resumes from the last checkpoint, and joins the bus.
     ///
     /// # Errors
-    /// Fails if the structure has no table `[modal]`, checkpoints cannot be written, or the bus
-    /// rejects a declaration.
+    /// Returns an error if the structure has no table `[modal]`, checkpoints cannot be written, or
+    /// the bus rejects a declaration.
     fn start(plan: &ModesPlan) -> BoxedFuture<'_, Result<Self, ModesError>> {
         Self::start_from(plan)
     }
@@ -64,7 +64,7 @@ impl spandrel_service::Service for ModesService {
     /// one second. The rest arrives again after a restart.
     ///
     /// # Errors
-    /// Fails if the bus is closed.
+    /// Returns an error if the bus is closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), ModesError>> {
         self.run_until(stop)
     }

@@ -25,8 +25,8 @@ impl Stiffnesses {
     /// frequencies do not update them.
     ///
     /// # Errors
-    /// The name of a parameter cannot be a key, or the matrices of the model do not fit, which
-    /// reading the structure file has excluded.
+    /// Returns an error if the name of a parameter cannot be a key, or if the matrices of the model
+    /// do not fit, which reading the structure file has excluded.
     pub fn new(structure: &Structure) -> Result<Option<Self>, ModesError> {
         let Some(modal) = structure.modal() else {
             return Ok(None);
@@ -118,7 +118,8 @@ impl Stiffnesses {
     /// There are none during the commissioning, and none without a usable mode.
     ///
     /// # Errors
-    /// The commissioning has no mode of the model and starts again, or a decomposition fails.
+    /// Returns an error if the commissioning has no mode of the model and starts again, or if a
+    /// decomposition fails.
     pub(crate) fn handle(
         &mut self,
         displays: &[ModeDisplay],

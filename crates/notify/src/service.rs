@@ -148,7 +148,8 @@ impl spandrel_service::Service for NotifyService {
     /// tokens.
     ///
     /// # Errors
-    /// Fails if a setting is invalid, a folder cannot be written, or the bus rejects a declaration.
+    /// Returns an error if a setting is invalid, a folder cannot be written, or the bus rejects a
+    /// declaration.
     fn start(plan: &NotifyPlan) -> BoxedFuture<'_, Result<Self, NotifyError>> {
         Self::start_from(plan)
     }
@@ -156,7 +157,7 @@ impl spandrel_service::Service for NotifyService {
     /// Runs until `stop`. Notices that are being sent may finish within 5 s.
     ///
     /// # Errors
-    /// Fails if the bus is closed.
+    /// Returns an error if the bus is closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), NotifyError>> {
         self.run_until(stop)
     }

@@ -134,7 +134,7 @@ impl ChannelColumn {
     /// Declares that the channel is a `quantity` in `unit`.
     ///
     /// # Errors
-    /// [`RecordError::Unit`] if `unit` does not belong to the quantity.
+    /// Returns [`RecordError::Unit`] if `unit` does not belong to the quantity.
     pub fn with_unit(self, unit: &str, quantity: Quantity) -> Result<Self, RecordError> {
         match quantity.si_from(unit) {
             Some(si_from_unit) => Ok(Self {
@@ -184,7 +184,7 @@ impl ChannelColumn {
     /// Sets the calibration: the value in column units is `scale` × number in the file + `offset`.
     ///
     /// # Errors
-    /// [`RecordError::Calibration`] if a value is not finite or the scale is zero.
+    /// Returns [`RecordError::Calibration`] if a value is not finite or the scale is zero.
     pub fn with_calibration(self, scale: f64, offset: f64) -> Result<Self, RecordError> {
         if !scale.is_finite() || scale == 0.0 {
             return Err(RecordError::Calibration {

@@ -28,7 +28,7 @@ impl OutputFormat {
     /// Returns the format that a file name indicates.
     ///
     /// # Errors
-    /// The extension is not supported.
+    /// Returns an error if the extension is not supported.
     pub fn of(path: &Path) -> Result<Self, RecordError> {
         let ending = path
             .extension()
@@ -61,8 +61,9 @@ impl RecordedFile {
     /// Channels that already have this rate to 0.1 % remain unchanged, with their own times.
     ///
     /// # Errors
-    /// The rate is not positive and finite, or a channel has no sampling rate. Also, the rates
-    /// differ by a factor above 10,000, or a higher rate would give more than 2²⁹ samples.
+    /// Returns an error if the rate is not positive and finite, or if a channel has no sampling
+    /// rate. Also returns an error if the rates differ by a factor above 10,000, or a higher rate
+    /// would give more than 2²⁹ samples.
     pub fn resampled(self, rate_hz: f64) -> Result<Self, RecordError> {
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             return Err(RecordError::DeclaredRate { found_hz: rate_hz });
@@ -123,7 +124,8 @@ impl RecordedFile {
     /// `.mseed`. An existing file is replaced when the new one is complete.
     ///
     /// # Errors
-    /// The extension is not supported, or one of the errors of [`Self::write_to`] occurs.
+    /// Returns an error if the extension is not supported, or if one of the errors of
+    /// [`Self::write_to`] occurs.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let format = OutputFormat::of(path)?;
         let mut output = BufWriter::new(new_file::create(path)?);
@@ -138,8 +140,8 @@ impl RecordedFile {
     /// is part of the metadata. In CSV, the times of dated channels are seconds since 1970.
     ///
     /// # Errors
-    /// The output cannot be written, or the channels do not match the format. In CSV, all channels
-    /// must have the same sampling rate.
+    /// Returns an error if the output cannot be written, or if the channels do not match the
+    /// format. In CSV, all channels must have the same sampling rate.
     pub fn write_to(
         &self,
         format: OutputFormat,

@@ -70,7 +70,8 @@ impl<'a> CsvReader<'a> {
     /// Opens a file and reads its header.
     ///
     /// # Errors
-    /// The file cannot be opened, or columns of the mapping are missing or occur more than once.
+    /// Returns an error if the file cannot be opened, or if columns of the mapping are missing or
+    /// occur more than once.
     pub fn open(path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         Self::new(Box::new(open_file(path)?), path, mapping)
     }
@@ -78,7 +79,7 @@ impl<'a> CsvReader<'a> {
     /// Reads the header from any input. `path` identifies the input in errors.
     ///
     /// # Errors
-    /// The same as for [`CsvReader::open`], except for opening.
+    /// Returns the same errors as [`CsvReader::open`], except those of opening the file.
     pub fn new(
         input: Box<dyn Read + Send + 'a>,
         path: &Path,

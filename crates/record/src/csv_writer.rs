@@ -27,7 +27,7 @@ impl CsvWriter {
     /// Creates or truncates the file, and writes the header.
     ///
     /// # Errors
-    /// The file cannot be created or written.
+    /// Returns an error if the file cannot be created or written.
     pub fn create<S: AsRef<str>>(path: &Path, columns: &[S]) -> Result<Self, RecordError> {
         let mapping = ColumnMapping::by_name(columns.iter().map(AsRef::as_ref));
         let file = File::create(path).map_err(|source| RecordError::Open {
@@ -43,7 +43,7 @@ impl<W: Write> CsvWriter<W> {
     /// `mapping`. Errors name `path`.
     ///
     /// # Errors
-    /// The output cannot be written.
+    /// Returns an error if the output cannot be written.
     pub fn new(output: W, path: &Path, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let mut writer = Self {
             path: path.to_owned(),
@@ -66,7 +66,8 @@ impl<W: Write> CsvWriter<W> {
     /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` if missing.
     ///
     /// # Errors
-    /// The row has the wrong length or an infinite value, or the file cannot be written.
+    /// Returns an error if the row has the wrong length or an infinite value, or if the file cannot
+    /// be written.
     pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
         self.line += 1;
         if values.len() != self.columns.len() {
@@ -113,7 +114,7 @@ impl<W: Write> CsvWriter<W> {
     /// silently lose the last rows.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn finish(self) -> Result<W, RecordError> {
         let (path, line) = (self.path, self.line);
         self.csv.into_inner().map_err(|error| RecordError::Write {

@@ -16,7 +16,7 @@ impl EstimateWriter {
     /// Creates the file and writes the header.
     ///
     /// # Errors
-    /// The file cannot be created or written.
+    /// Returns an error if the file cannot be created or written.
     pub fn create<S: AsRef<str>>(path: &Path, names: &[S]) -> Result<Self, RecordError> {
         let columns: Vec<String> = names
             .iter()
@@ -41,8 +41,8 @@ impl EstimateWriter {
     /// or SI units).
     ///
     /// # Errors
-    /// The number of pairs differs from the number of quantities, a value is infinite, or the file
-    /// cannot be written.
+    /// Returns an error if the number of pairs differs from the number of quantities, a value is
+    /// infinite, or the file cannot be written.
     pub fn write(
         &mut self,
         time_ns: i64,
@@ -57,7 +57,7 @@ impl EstimateWriter {
     /// Completes the file. Dropping the writer without this call removes the rows.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn finish(self) -> Result<(), RecordError> {
         new_file::finish(self.csv.finish()?)
     }

@@ -207,8 +207,8 @@ impl FrameLog {
     /// segment, and deletes old segments according to the settings.
     ///
     /// # Errors
-    /// The log is already open, the folder contains another layout, or the folder cannot be read or
-    /// written.
+    /// Returns an error if the log is already open, the folder contains another layout, or the
+    /// folder cannot be read or written.
     pub fn open(
         folder: &Path,
         layout: LogLayout,
@@ -342,7 +342,7 @@ impl FrameLog {
     /// An incomplete log can be marked even on a full disk.
     ///
     /// # Errors
-    /// The mark cannot be written.
+    /// Returns an error if the mark cannot be written.
     pub fn note_complete(&mut self, is_complete: bool) -> Result<(), RecordError> {
         self.note.complete(is_complete)
     }
@@ -360,7 +360,8 @@ impl FrameLog {
     /// Closes the last segment with index and footer, and waits until all data is synced to disk.
     ///
     /// # Errors
-    /// The disk is full or reports another error. The log still contains all frames.
+    /// Returns an error if the disk is full or reports another error. The log still contains all
+    /// frames.
     pub fn close(mut self) -> Result<(), RecordError> {
         self.end_segment()?;
         self.syncer.sync()?;
@@ -534,7 +535,7 @@ pub(crate) fn is_segment(file_name: &str) -> bool {
 /// Checks that no process has the log of a folder open. The folder may be missing.
 ///
 /// # Errors
-/// Another process has it open, or the lock file cannot be opened.
+/// Returns an error if another process has the log open, or if the lock file cannot be opened.
 pub fn check_unused(folder: &Path) -> Result<(), RecordError> {
     match folder.is_dir() {
         true => Note::lock(folder).map(drop),

@@ -9,7 +9,7 @@ use mcap::{McapError, McapResult};
 /// The crate `mcap` allocates up to 4 GiB for a string, based on its stated length alone.
 ///
 /// # Errors
-/// The record is not valid.
+/// Returns an error if the record is not valid.
 pub(crate) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
     match texts_fit(opcode, body) {
         Some(()) => mcap::parse_record(opcode, body),

@@ -54,7 +54,7 @@ impl McapWriter {
     /// Creates or truncates the file, and writes the metadata of the channels.
     ///
     /// # Errors
-    /// The file cannot be created or written.
+    /// Returns an error if the file cannot be created or written.
     pub fn create(path: &Path, channels: &[McapChannel]) -> Result<Self, RecordError> {
         let file = File::create(path).map_err(|source| RecordError::Open {
             path: path.to_owned(),
@@ -69,7 +69,7 @@ impl<W: Write + Seek> McapWriter<W> {
     /// `mapping`. Times are relative to the start of the recording. Errors name `path`.
     ///
     /// # Errors
-    /// The output cannot be written.
+    /// Returns an error if the output cannot be written.
     pub fn mapped(
         output: W,
         path: &Path,
@@ -93,7 +93,7 @@ impl<W: Write + Seek> McapWriter<W> {
     /// Writes the metadata of the channels to `output`. Errors name `path`.
     ///
     /// # Errors
-    /// The output cannot be written.
+    /// Returns an error if the output cannot be written.
     pub fn new(output: W, path: &Path, channels: &[McapChannel]) -> Result<Self, RecordError> {
         let refused = |source| RecordError::WriteMcap {
             path: path.to_owned(),
@@ -131,7 +131,8 @@ impl<W: Write + Seek> McapWriter<W> {
     /// if missing.
     ///
     /// # Errors
-    /// The row has the wrong length, or one of the errors of [`McapWriter::write`] occurs.
+    /// Returns an error if the row has the wrong length, or if one of the errors of
+    /// [`McapWriter::write`] occurs.
     pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
         if values.len() != self.columns.len() {
             let line = 1 + self
@@ -156,8 +157,8 @@ impl<W: Write + Seek> McapWriter<W> {
     /// Writes a sample of the channel with index `place`. Skips a missing sample (`NaN`).
     ///
     /// # Errors
-    /// The time is before 1970, the value is infinite, the channel does not exist, or the file
-    /// cannot be written.
+    /// Returns an error if the time is before 1970, the value is infinite, the channel does not
+    /// exist, or the file cannot be written.
     pub fn write(&mut self, place: usize, time_ns: i64, value: f64) -> Result<(), RecordError> {
         if value.is_nan() {
             return Ok(());
@@ -205,7 +206,7 @@ impl<W: Write + Seek> McapWriter<W> {
     /// without this call may silently lose the last chunk.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn finish(mut self) -> Result<W, RecordError> {
         match self.writer.finish() {
             Ok(_) => Ok(self.writer.into_inner()),

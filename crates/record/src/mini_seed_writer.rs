@@ -46,7 +46,8 @@ impl<W: Write> MiniSeedWriter<W> {
     /// record. A channel without a rate has no times, so the caller must reject it.
     ///
     /// # Errors
-    /// The output cannot be written, or a time is outside the years 1 to 9999.
+    /// Returns an error if the output cannot be written, or if a time is outside the years 1 to
+    /// 9999.
     pub(crate) fn write(
         &mut self,
         number: usize,

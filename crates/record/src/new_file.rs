@@ -29,7 +29,7 @@ impl NewFile {
     /// Creates the file beside `path`, with the permissions of an existing file.
     ///
     /// # Errors
-    /// The file cannot be created.
+    /// Returns an error if the file cannot be created.
     pub fn create(path: &Path) -> io::Result<Self> {
         let existing = path.symlink_metadata().ok();
         let is_replaced = existing.as_ref().is_none_or(|found| found.is_file());
@@ -53,7 +53,8 @@ impl NewFile {
     /// Syncs the file to disk and gives it its name.
     ///
     /// # Errors
-    /// The file cannot be synced or renamed. An existing file is then unchanged.
+    /// Returns an error if the file cannot be synced or renamed. An existing file is then
+    /// unchanged.
     pub fn finish(mut self) -> io::Result<()> {
         let Some(beside) = &self.beside else {
             return self.file.flush();
@@ -97,7 +98,7 @@ pub(crate) fn finish_buffered(output: BufWriter<NewFile>) -> Result<(), RecordEr
 /// Writes a file that is either complete or unchanged.
 ///
 /// # Errors
-/// The file cannot be written. An existing file is then unchanged.
+/// Returns an error if the file cannot be written. An existing file is then unchanged.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = NewFile::create(path)?;
     file.write_all(bytes)?;

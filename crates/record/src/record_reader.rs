@@ -27,7 +27,7 @@ pub trait RecordReader: Send {
     /// Reads the next row. Returns `None` at the end.
     ///
     /// # Errors
-    /// A [`RecordError`] that names the file and, for a table, the line. Reading cannot continue
-    /// after an error.
+    /// Returns a [`RecordError`] that names the file and, for a table, the line. Reading cannot
+    /// continue after an error.
     fn next_row(&mut self) -> Result<Option<Row<'_>>, RecordError>;
 }

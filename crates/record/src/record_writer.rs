@@ -22,8 +22,8 @@ impl RecordWriter {
     /// Creates a file with the columns and units of `mapping`, for rows at `rate_hz` (Hz).
     ///
     /// # Errors
-    /// The file name does not indicate a supported format, or the file cannot be created or
-    /// written.
+    /// Returns an error if the file name does not indicate a supported format, or if the file
+    /// cannot be created or written.
     pub fn create(path: &Path, mapping: &ColumnMapping, rate_hz: f64) -> Result<Self, RecordError> {
         match OutputFormat::of(path)? {
             OutputFormat::Csv => {
@@ -45,7 +45,8 @@ impl RecordWriter {
     /// Writes one row: `time_ns` in ns, and one value per column in SI units, `NaN` if missing.
     ///
     /// # Errors
-    /// The row has the wrong length or an infinite value, or the file cannot be written.
+    /// Returns an error if the row has the wrong length or an infinite value, or if the file cannot
+    /// be written.
     pub fn write_row(&mut self, time_ns: i64, values: &[f64]) -> Result<(), RecordError> {
         match self {
             Self::Csv(writer) => writer.write_row(time_ns, values),
@@ -56,7 +57,7 @@ impl RecordWriter {
     /// Completes the file. Dropping the writer without this call removes the rows.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Returns an error if the file cannot be written.
     pub fn finish(self) -> Result<(), RecordError> {
         match self {
             Self::Csv(writer) => new_file::finish(writer.finish()?),

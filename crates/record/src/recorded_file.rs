@@ -51,7 +51,8 @@ impl RecordedFile {
     /// recordings in a folder.
     ///
     /// # Errors
-    /// The format is unknown, or the content violates it. The error states the position.
+    /// Returns an error if the format is unknown, or if the content violates it. The error states
+    /// the position.
     pub fn read(path: &Path, options: &ReadOptions) -> Result<Self, RecordError> {
         if let Some(found_hz) = options
             .sampling_rate_hz

@@ -29,8 +29,9 @@ impl RecordedRows {
     /// Selects the channels of the mapping.
     ///
     /// # Errors
-    /// Channels are missing, have different sampling rates or none, or have units of another
-    /// quantity. Or some channels have dates and others do not.
+    /// Returns an error if channels are missing, have different sampling rates or none, or have
+    /// units of another quantity. Also returns an error if some channels have dates and others do
+    /// not.
     pub fn new(file: &RecordedFile, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let path = || file.path().to_owned();
         let of_name = |name: &str| match places_of(

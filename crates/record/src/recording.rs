@@ -64,8 +64,8 @@ impl Recording {
     /// Tables are streamed. Files of other formats are read into memory.
     ///
     /// # Errors
-    /// The format is unknown, the file does not match the mapping, or one of its first rows is
-    /// invalid.
+    /// Returns an error if the format is unknown, the file does not match the mapping, or one of
+    /// its first rows is invalid.
     pub fn open(
         path: &Path,
         mapping: &ColumnMapping,
@@ -78,8 +78,8 @@ impl Recording {
     /// are removed after resampling.
     ///
     /// # Errors
-    /// As for [`Recording::open`]. Also, the target rate is not valid, or the file does not state
-    /// its own rate.
+    /// Returns the same errors as [`Recording::open`]. Also returns an error if the target rate is
+    /// not valid, or if the file does not state its own rate.
     pub fn open_resampled(
         path: &Path,
         mapping: &ColumnMapping,
@@ -105,7 +105,8 @@ impl Recording {
     /// Buffers the first rows of a reader.
     ///
     /// # Errors
-    /// The span of the offset is not a positive time, or one of the first rows is invalid.
+    /// Returns an error if the span of the offset is not a positive time, or if one of the first
+    /// rows is invalid.
     pub fn new(
         mut reader: Box<dyn RecordReader>,
         offset: OffsetRemoval,
@@ -155,7 +156,7 @@ impl Recording {
     /// Returns the sampling rate in Hz, from the mean of the first 1000 time steps without gaps.
     ///
     /// # Errors
-    /// [`RecordError::TooShort`] if there are fewer than two rows.
+    /// Returns [`RecordError::TooShort`] if there are fewer than two rows.
     pub fn sampling_rate_hz(&self) -> Result<f64, RecordError> {
         let too_short = || RecordError::TooShort {
             path: self.reader.path().to_owned(),
@@ -168,8 +169,8 @@ impl Recording {
     /// declared rate.
     ///
     /// # Errors
-    /// [`RecordError::SamplingRate`] if the rates differ. [`RecordError::TooShort`] if there are
-    /// fewer than two rows.
+    /// Returns [`RecordError::SamplingRate`] if the rates differ, and [`RecordError::TooShort`] if
+    /// there are fewer than two rows.
     pub fn check_sampling_rate(&self, declared_hz: f64) -> Result<f64, RecordError> {
         let found_hz = self.sampling_rate_hz()?;
         let is_declared = (found_hz - declared_hz).abs() <= RATE_TOLERANCE * declared_hz;

@@ -29,7 +29,7 @@ impl<'a> Source<'a> {
     /// Opens a file and reads its first bytes.
     ///
     /// # Errors
-    /// The file cannot be opened or read, or is a pipe, a device or a socket.
+    /// Returns an error if the file cannot be opened or read, or is a pipe, a device or a socket.
     pub(crate) fn open(path: &Path) -> Result<Self, RecordError> {
         Self::new(open_file(path)?).map_err(|source| RecordError::ReadFile {
             path: path.to_owned(),
@@ -57,8 +57,8 @@ impl<'a> Source<'a> {
 /// Opens a recording for reading.
 ///
 /// # Errors
-/// The file cannot be opened, or is a pipe, a device or a socket. Opening a pipe waits for its
-/// writer, and a device such as `/dev/zero` has no end.
+/// Returns an error if the file cannot be opened, or is a pipe, a device or a socket. Opening a
+/// pipe waits for its writer, and a device such as `/dev/zero` has no end.
 pub(crate) fn open_file(path: &Path) -> Result<File, RecordError> {
     let refused = |source| RecordError::Open {
         path: path.to_owned(),

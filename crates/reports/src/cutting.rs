@@ -107,7 +107,7 @@ impl Cutting {
     /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// The state is one of other channels.
+    /// Returns an error if the state belongs to other channels.
     pub(crate) fn restore(&mut self, state: CuttingState) -> Result<(), &'static str> {
         if !self.detection.restore(state.detection) {
             return Err("the state has other channels than the structure file");

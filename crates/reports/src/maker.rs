@@ -30,13 +30,13 @@ pub trait ReportMaker: fmt::Debug + Send + Sync {
     /// Begins with the first event of the structure.
     ///
     /// # Errors
-    /// The structure cannot be reported, for the reason in words.
+    /// Returns the reason in words if the structure cannot be reported.
     fn begin(&self) -> Result<Box<dyn ReportCourse>, String>;
 
     /// Returns the list of the reports in a folder, with sentences about what waits.
     ///
     /// # Errors
-    /// The folder cannot be read, for the reason in words.
+    /// Returns the reason in words if the folder cannot be read.
     fn index(&self, folder: &Path, waiting: &[String]) -> Result<ReportIndex, String>;
 }
 
@@ -49,7 +49,7 @@ pub trait ReportCourse: fmt::Debug + Send {
     /// channel (SI).
     ///
     /// # Errors
-    /// The recording cannot be reported, for the reason in words.
+    /// Returns the reason in words if the recording cannot be reported.
     fn report(
         &mut self,
         record: &Path,

@@ -116,8 +116,8 @@ impl spandrel_service::Service for ReportsService {
     /// Resumes from the last checkpoint, and joins the bus.
     ///
     /// # Errors
-    /// Fails if the structure has no table `[earthquakes]`, a folder cannot be written, or the bus
-    /// rejects a declaration.
+    /// Returns an error if the structure has no table `[earthquakes]`, a folder cannot be written,
+    /// or the bus rejects a declaration.
     fn start(plan: &ReportsPlan) -> BoxedFuture<'_, Result<Self, ReportsError>> {
         Self::start_from(plan)
     }
@@ -125,7 +125,7 @@ impl spandrel_service::Service for ReportsService {
     /// Runs until `stop`. A report that is being made is made again after the next start.
     ///
     /// # Errors
-    /// Fails if the bus is closed.
+    /// Returns an error if the bus is closed.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), ReportsError>> {
         self.run_until(stop)
     }

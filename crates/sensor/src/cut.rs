@@ -42,7 +42,7 @@ impl NodePlan {
     /// Returns the nodes of a structure, with either simulated clock errors or exact clocks.
     ///
     /// # Errors
-    /// The name of a node is not a valid chunk of a key expression.
+    /// Returns an error if the name of a node is not a valid chunk of a key expression.
     pub fn of(structure: &Structure, clocks: Clocks) -> Result<Vec<Self>, NameError> {
         let simulated = |all: &[f64], index: usize| match clocks {
             Clocks::Right => 0.0,

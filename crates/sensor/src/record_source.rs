@@ -11,7 +11,7 @@ use tracing::warn;
 /// Returns the column and unit of each channel of a structure in its recordings.
 ///
 /// # Errors
-/// [`RecordError::Calibration`] if a calibration cannot be inverted.
+/// Returns [`RecordError::Calibration`] if a calibration cannot be inverted.
 pub fn column_mapping(structure: &Structure) -> Result<ColumnMapping, RecordError> {
     let map = structure.record();
     let columns = structure
@@ -65,8 +65,8 @@ fn quantity(of_channel: Quantity) -> spandrel_record::Quantity {
 /// sampling rate.
 ///
 /// # Errors
-/// The file cannot be read, lacks columns or has another sampling rate. The error names what the
-/// file contains.
+/// Returns an error if the file cannot be read, lacks columns or has another sampling rate. The
+/// error names what the file contains.
 pub fn open_record(structure: &Structure, path: &Path) -> Result<Recording, RecordError> {
     let offset = match structure.record().remove_offset_s() {
         seconds if seconds > 0.0 => OffsetRemoval::MeanOfFirst { seconds },

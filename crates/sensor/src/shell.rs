@@ -101,7 +101,7 @@ impl SensorService {
     /// `rate_hz` is the sampling rate of the rows, Hz.
     ///
     /// # Errors
-    /// The bus rejects a declaration.
+    /// Returns an error if the bus rejects a declaration.
     pub fn start<'a>(
         nodes: Vec<NodePlan>,
         rate_hz: f64,
@@ -169,7 +169,7 @@ impl SensorService {
     /// Returns the number of published rows.
     ///
     /// # Errors
-    /// The record cannot be read to its end, or the bus has been closed.
+    /// Returns an error if the record cannot be read to its end, or if the bus has been closed.
     pub fn run<'a, E>(
         self,
         rows: impl Iterator<Item = Result<Row, E>> + Send + 'static,

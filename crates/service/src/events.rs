@@ -11,7 +11,7 @@ impl EventPublisher {
     /// Declares the topic.
     ///
     /// # Errors
-    /// The bus rejects the declaration.
+    /// Returns an error if the bus rejects the declaration.
     pub async fn declare(bus: &Bus, keys: &Keys) -> Result<Self, BusError> {
         Ok(Self(bus.publish_display(keys.event()).await?))
     }
@@ -19,7 +19,7 @@ impl EventPublisher {
     /// Logs an event and publishes it.
     ///
     /// # Errors
-    /// The event is malformed, or the session is closed.
+    /// Returns an error if the event is malformed, or if the session is closed.
     pub async fn put(&self, event: &Event) -> Result<(), BusError> {
         log_event(event, None);
         self.0.put(event).await

@@ -44,7 +44,7 @@ impl ServiceInstance {
     /// Declares the status of this instance for a structure.
     ///
     /// # Errors
-    /// The bus rejects the declaration.
+    /// Returns an error if the bus rejects the declaration.
     pub async fn publish_status(
         &self,
         service: Service,
@@ -56,7 +56,7 @@ impl ServiceInstance {
     /// Announces that this instance is present. Call it last, because others then rely on it.
     ///
     /// # Errors
-    /// The bus rejects the declaration.
+    /// Returns an error if the bus rejects the declaration.
     pub async fn announce(&self, service: Service, keys: &Keys) -> Result<LiveToken, BusError> {
         self.bus.announce(keys.live(service, &self.id)).await
     }

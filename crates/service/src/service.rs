@@ -24,12 +24,12 @@ pub trait Service: Sized + Send + 'static {
     /// Checks the plan and connects to the bus.
     ///
     /// # Errors
-    /// The plan is invalid, or the bus rejects a declaration.
+    /// Returns an error if the plan is invalid, or if the bus rejects a declaration.
     fn start(plan: &Self::Plan) -> BoxedFuture<'_, Result<Self, Self::Error>>;
 
     /// Runs until `stop` completes. Data that has arrived by then is still processed.
     ///
     /// # Errors
-    /// The service cannot continue.
+    /// Returns an error if the service cannot continue.
     fn run<'a>(self, stop: Stop<'a>) -> BoxedFuture<'a, Result<(), Self::Error>>;
 }

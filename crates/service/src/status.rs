@@ -72,7 +72,7 @@ impl StatusPublisher {
     /// Declares the status topic of one instance of `service`, for the structure of `keys`.
     ///
     /// # Errors
-    /// The bus rejects the declaration.
+    /// Returns an error if the bus rejects the declaration.
     pub async fn declare(
         instance: &ServiceInstance,
         service: Service,
@@ -92,7 +92,7 @@ impl StatusPublisher {
     /// item was measured.
     ///
     /// # Errors
-    /// The report is malformed, or the session is closed.
+    /// Returns an error if the report is malformed, or if the session is closed.
     pub async fn put(&self, report: Report) -> Result<(), BusError> {
         let status = Status {
             structure: self.structure.clone(),

@@ -46,7 +46,7 @@ fn own_name(given: Option<&str>) -> Option<String> {
 /// Runs a subcommand.
 ///
 /// # Errors
-/// Any error that ends the subcommand.
+/// Returns any error that ends the subcommand.
 pub fn run(command: Command) -> Result<(), AppError> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),

@@ -23,7 +23,8 @@ const BLOCK_SAMPLES: u64 = 128;
 /// `take` receives the fused estimates in order. Returns the collected results.
 ///
 /// # Errors
-/// The nodes cannot identify the structure, the record cannot be read, or `take` fails.
+/// Returns an error if the nodes cannot identify the structure, the record cannot be read, or
+/// `take` fails.
 pub fn fuse(
     structure: &Structure,
     rows: impl Iterator<Item = Result<Row, RecordError>>,

@@ -81,7 +81,8 @@ impl ModalCheckPage {
     /// Creates the page of a structure with a table `[modal]`.
     ///
     /// # Errors
-    /// The settings of the table do not fit each other, which reading the file has excluded.
+    /// Returns an error if the settings of the table do not fit each other, which reading the file
+    /// has excluded.
     pub fn new(structure: &Structure, plan: &ModalPlan) -> Result<Self, AppError> {
         let stream = plan.stream().map_err(spandrel_modes::ModesError::from)?;
         let settings: Vec<&ModalSettings> = stream.settings().collect();

@@ -23,7 +23,8 @@ const MISSING: &str = "missing-samples";
 /// none if the structure file specifies none. Returns the collected results.
 ///
 /// # Errors
-/// The structure cannot be identified, the record cannot be read, or `take` fails.
+/// Returns an error if the structure cannot be identified, the record cannot be read, or `take`
+/// fails.
 pub fn identify(
     structure: &Structure,
     mut identification: Identification,

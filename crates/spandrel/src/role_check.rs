@@ -122,7 +122,7 @@ pub async fn check(bus: &Bus, config: &BusConfig, work: &Work<'_>) -> Result<(),
 /// acknowledge an alert, because nothing else would.
 ///
 /// # Errors
-/// The certificate cannot be read.
+/// Returns an error if the certificate cannot be read.
 pub async fn cannot_acknowledge(bus: &Bus, config: &BusConfig) -> Result<Option<String>, AppError> {
     let Some(tls) = &config.tls else {
         return Ok(None);

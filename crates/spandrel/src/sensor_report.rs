@@ -49,7 +49,7 @@ impl SensorPage {
     /// Compares the sensors in the recordings, one after the other. `check` has no frames yet.
     ///
     /// # Errors
-    /// A recording cannot be read.
+    /// Returns an error if a recording cannot be read.
     pub fn of_records(
         structure: &Structure,
         mut check: SensorCheck,

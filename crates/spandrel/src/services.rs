@@ -51,7 +51,8 @@ pub struct Watched {
 /// Reads the structures that the arguments specify, or else those of the configuration.
 ///
 /// # Errors
-/// There is no structure, a structure is not valid, or two structures have the same name.
+/// Returns an error if there is no structure, a structure is not valid, or two structures have the
+/// same name.
 pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Watched>, AppError> {
     let paths = if paths.is_empty() {
         &settings.structures
@@ -106,7 +107,7 @@ pub fn read_structures(settings: &Settings, paths: &[PathBuf]) -> Result<Vec<Wat
 /// Checks that a baseline belongs to a structure.
 ///
 /// # Errors
-/// The baseline belongs to another structure.
+/// Returns an error if the baseline belongs to another structure.
 pub fn check_baseline_structure(
     structure: &Structure,
     baseline: &Baseline,
@@ -125,7 +126,7 @@ pub fn check_baseline_structure(
 /// Warns of baseline entries without effect, and of parameters that still have to be learnt.
 ///
 /// # Errors
-/// The baseline belongs to another structure.
+/// Returns an error if the baseline belongs to another structure.
 pub fn check_baseline(
     structure: &Structure,
     baseline: &Baseline,
@@ -186,7 +187,7 @@ pub fn check_baseline(
 /// Reads one structure with its keys and baseline.
 ///
 /// # Errors
-/// A file is not valid.
+/// Returns an error if a file is not valid.
 pub fn watch_structure(settings: &Settings, path: &Path) -> Result<Watched, AppError> {
     let structure = Structure::read(path)?;
     let keys = settings.bus.keys(structure.name())?;
@@ -420,7 +421,7 @@ impl Running {
     /// Starts the feed of all sources.
     ///
     /// # Errors
-    /// The feed cannot start.
+    /// Returns an error if the feed cannot start.
     pub async fn start_feed(
         &mut self,
         config: &FeedConfig,
@@ -439,7 +440,7 @@ impl Running {
     /// Starts ingest for each structure. With `state`, ingest records its frames.
     ///
     /// # Errors
-    /// An instance cannot start.
+    /// Returns an error if an instance cannot start.
     pub async fn start_ingest(&mut self, state: Option<&State>) -> Result<(), AppError> {
         self.start_each::<IngestService>(Service::Ingest, |instance, monitored| {
             Some(IngestPlan {
@@ -456,8 +457,8 @@ impl Running {
     /// A structure has one worker, or one worker per node if it is distributed.
     ///
     /// # Errors
-    /// An instance cannot start, a node is unknown, or a distributed structure is to have a
-    /// standby.
+    /// Returns an error if an instance cannot start, a node is unknown, or a distributed structure
+    /// is to have a standby.
     pub async fn start_identify(
         &mut self,
         threads: Option<NonZeroUsize>,
@@ -534,7 +535,7 @@ impl Running {
     /// Starts the central station of each distributed structure.
     ///
     /// # Errors
-    /// An instance cannot start.
+    /// Returns an error if an instance cannot start.
     pub async fn start_fuse(&mut self) -> Result<(), AppError> {
         self.start_each::<FuseService>(Service::Fuse, |instance, monitored| {
             monitored.structure.fusion()?;
@@ -550,7 +551,7 @@ impl Running {
     /// there is one.
     ///
     /// # Errors
-    /// An instance cannot start.
+    /// Returns an error if an instance cannot start.
     pub async fn start_alert(&mut self) -> Result<(), AppError> {
         for (monitored, baseline) in self
             .monitored
@@ -576,7 +577,7 @@ impl Running {
     /// Starts to follow the modes of each structure that has a table `[modal]`.
     ///
     /// # Errors
-    /// An instance cannot start.
+    /// Returns an error if an instance cannot start.
     pub async fn start_modes(&mut self) -> Result<(), AppError> {
         self.start_each::<ModesService>(Service::Modes, |instance, monitored| {
             monitored.structure.modal()?;
@@ -591,7 +592,7 @@ impl Running {
     /// Starts the judgement of each structure that has a table `[judge]`.
     ///
     /// # Errors
-    /// An instance cannot start.
+    /// Returns an error if an instance cannot start.
     pub async fn start_judge(&mut self) -> Result<(), AppError> {
         self.start_each::<JudgeService>(Service::Judge, |instance, monitored| {
             monitored.structure.judge()?;
@@ -606,7 +607,7 @@ impl Running {
     /// Starts the reports of each structure that has a table `[earthquakes]`.
     ///
     /// # Errors
-    /// An instance cannot start.
+    /// Returns an error if an instance cannot start.
     pub async fn start_reports(&mut self, state: Option<&State>) -> Result<(), AppError> {
         let files = self.files.clone();
         for (monitored, file) in self.monitored.clone().into_iter().zip(files) {
@@ -637,7 +638,7 @@ impl Running {
     /// Starts the history of all structures.
     ///
     /// # Errors
-    /// The history cannot start.
+    /// Returns an error if the history cannot start.
     pub async fn start_history(&mut self, address: &Address, keep: &Keep) -> Result<(), AppError> {
         let plan = HistoryPlan {
             instance: self.instance(Service::History),
@@ -652,7 +653,7 @@ impl Running {
     /// Starts the notifications of all structures.
     ///
     /// # Errors
-    /// The service cannot start.
+    /// Returns an error if the service cannot start.
     pub async fn start_notify(&mut self, settings: &NotifySettings) -> Result<(), AppError> {
         let plan = NotifyPlan {
             instance: self.instance(Service::Notify),
@@ -666,7 +667,7 @@ impl Running {
     /// Starts the dashboard of all structures and returns the address of its page.
     ///
     /// # Errors
-    /// The dashboard cannot start.
+    /// Returns an error if the dashboard cannot start.
     pub async fn start_dashboard(&mut self, page: &PageSettings) -> Result<SocketAddr, AppError> {
         let mut plan = DashboardPlan {
             instance: self.instance(Service::Dashboard),
@@ -687,7 +688,7 @@ impl Running {
     /// Waits until a service ends. No service ends before a stop unless it fails.
     ///
     /// # Errors
-    /// The error of that service.
+    /// Returns the error of that service.
     pub async fn failed(&mut self) -> Result<(), AppError> {
         std::future::poll_fn(|context| {
             for stage in &mut self.stages {
@@ -703,7 +704,7 @@ impl Running {
     /// Stops all services, the source first, so that data in transit is still processed.
     ///
     /// # Errors
-    /// The first error of a service.
+    /// Returns the first error of a service.
     pub async fn stop(mut self) -> Result<(), AppError> {
         let mut first = Ok(());
         for stage in &mut self.stages {
@@ -810,7 +811,7 @@ async fn heard(signal: &mut Option<Signal>) {
 /// Runs a future on a new runtime.
 ///
 /// # Errors
-/// The runtime cannot start, or the future fails.
+/// Returns an error if the runtime cannot start, or if the future fails.
 pub fn block_on<T>(future: impl Future<Output = Result<T, AppError>>) -> Result<T, AppError> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()

@@ -69,7 +69,7 @@ impl HistorySettings {
     /// Returns the database, or `None` if the history is switched off.
     ///
     /// # Errors
-    /// The database is not valid, or there is no folder for it.
+    /// Returns an error if the database is not valid, or if there is no folder for it.
     pub fn address(&self, state: &StateSettings) -> Result<Option<Address>, AppError> {
         match self.database.as_deref() {
             Some(NOTHING) => Ok(None),
@@ -85,7 +85,7 @@ impl HistorySettings {
 /// Returns the system's folder for persistent state.
 ///
 /// # Errors
-/// No variable names one.
+/// Returns an error if no variable names a folder.
 pub(crate) fn default_folder() -> Result<PathBuf, AppError> {
     state_folder(|name| std::env::var_os(name).filter(|value| !value.is_empty()))
         .ok_or(AppError::NoStateFolder)
@@ -135,7 +135,7 @@ impl DashboardSettings {
     /// The caller must set `cannot_acknowledge` once the bus is open.
     ///
     /// # Errors
-    /// The token file cannot be read or contains no token.
+    /// Returns an error if the token file cannot be read or contains no token.
     pub fn page(&self, arguments: &PageArguments) -> Result<Option<PageSettings>, AppError> {
         let Some(listen) = self.listen(arguments) else {
             return Ok(None);
@@ -173,7 +173,8 @@ impl Settings {
     /// Reads and combines the layers.
     ///
     /// # Errors
-    /// The configuration is not valid. The error names the file or variable and the key.
+    /// Returns an error if the configuration is not valid. The error names the file or variable and
+    /// the key.
     pub fn load(arguments: &BusArguments) -> Result<Self, AppError> {
         Self::layered(arguments, None)
     }

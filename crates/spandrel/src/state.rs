@@ -110,7 +110,7 @@ impl StateSettings {
     /// Returns the folder of the state, or `None` if the state is switched off.
     ///
     /// # Errors
-    /// There is no folder for the state.
+    /// Returns an error if there is no folder for the state.
     pub(crate) fn root(&self) -> Result<Option<PathBuf>, AppError> {
         match self.folder.as_deref() {
             Some(NOTHING) => Ok(None),
@@ -122,7 +122,7 @@ impl StateSettings {
     /// Returns the folders, or `None` if the state is switched off.
     ///
     /// # Errors
-    /// There is no folder for the state, or a duration is not valid.
+    /// Returns an error if there is no folder for the state, or if a duration is not valid.
     pub fn state(&self) -> Result<Option<State>, AppError> {
         let Some(folder) = self.root()? else {
             return Ok(None);

@@ -29,7 +29,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// affected.
 ///
 /// # Errors
-/// The service fails, or it panics too often.
+/// Returns an error if the service fails, or if it panics too often.
 pub async fn supervise<First, Next, Life>(
     service: &'static str,
     structure: String,

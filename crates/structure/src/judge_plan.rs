@@ -50,7 +50,7 @@ impl JudgedStructure {
     /// that has a model, or no such table.
     ///
     /// # Errors
-    /// As for [`JudgedStructure::read`].
+    /// Returns the same errors as [`JudgedStructure::read`].
     pub fn read_without_model(path: &Path) -> Result<Option<Self>, StructureError> {
         let text = read_text(path)?;
         let tables: Option<toml::Table> = toml::from_str(&text).ok();
@@ -65,7 +65,7 @@ impl JudgedStructure {
     /// Parses the text of a structure file. Messages contain `path`.
     ///
     /// # Errors
-    /// As for [`JudgedStructure::read`].
+    /// Returns the same errors as [`JudgedStructure::read`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, StructureError> {
         StructureFile::parse(text, path)?.resolve_judged(path)
     }

@@ -54,7 +54,7 @@ impl ModalPlan {
     /// Returns a stream without frames.
     ///
     /// # Errors
-    /// The settings are not valid, which reading the file has excluded.
+    /// Returns an error if the settings are not valid, which reading the file has excluded.
     pub fn stream(&self) -> Result<EpochStream, ModalError> {
         let ladder = match self.has_band {
             true => BandLadder::single(&self.settings)?,

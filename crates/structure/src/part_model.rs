@@ -16,7 +16,8 @@ impl Structure {
     /// motion, their shapes are not comparable, and the model has no sensors.
     ///
     /// # Errors
-    /// The mass matrix is not positive definite, which reading the file has excluded.
+    /// Returns an error if the mass matrix is not positive definite, which reading the file has
+    /// excluded.
     pub fn part_model(&self) -> Option<Result<PartModel, ModalError>> {
         let plan = self.modal.as_ref().filter(|plan| plan.update.is_some())?;
         Some(self.model_of_parts(plan))
@@ -27,7 +28,7 @@ impl Structure {
     /// stiffness parameter, and with a parameter that scales a mass.
     ///
     /// # Errors
-    /// As [`part_model`](Self::part_model).
+    /// Returns the same errors as [`part_model`](Self::part_model).
     pub fn compared_model(&self) -> Option<Result<PartModel, ModalError>> {
         let plan = self.modal.as_ref().filter(|plan| plan.update.is_none())?;
         let scales_mass = |parameter: &Parameter| matches!(parameter.scales, Scales::Mass(_));

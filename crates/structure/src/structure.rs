@@ -103,7 +103,8 @@ impl Structure {
     /// Reads a structure file as [`Structure::read`] does, which must have a model.
     ///
     /// # Errors
-    /// As for [`Structure::read`]. Also, the kind of the model is `modal`.
+    /// Returns the same errors as [`Structure::read`]. Also returns an error if the kind of the
+    /// model is `modal`.
     pub fn read_with_model(path: &Path) -> Result<Self, StructureError> {
         StructureFile::parse(&read_text(path)?, path)?.resolve_with_model(path)
     }

@@ -36,8 +36,8 @@ const MARKS: [(&[u8], &str); 4] = [
 /// Decodes a text as UTF-8.
 ///
 /// # Errors
-/// The text has another encoding. UTF-16 and UTF-32 are named by their byte order mark, or by the
-/// zeros between the letters of the first word.
+/// Returns an error if the text has another encoding. UTF-16 and UTF-32 are named by their byte
+/// order mark, or by the zeros between the letters of the first word.
 pub fn decode(bytes: Vec<u8>) -> Result<String, WrongEncoding> {
     let marked = MARKS.iter().find(|(mark, _)| bytes.starts_with(mark));
     let named = marked.map(|(_, name)| *name).or(match bytes[..] {

@@ -47,7 +47,7 @@ impl Displays {
     /// `sampling_rate_hz` (Hz) is that of the frames. Without nodes, the task publishes nothing.
     ///
     /// # Errors
-    /// The bus rejects a declaration.
+    /// Returns an error if the bus rejects a declaration.
     pub async fn start(
         bus: &Bus,
         keys: &Keys,

@@ -72,8 +72,8 @@ impl Baseline {
     /// is unknown.
     ///
     /// # Errors
-    /// Fails if the file is unreadable, is not a regular file of at most 64 MiB, is not a baseline
-    /// of these versions, or contains an invalid reference.
+    /// Returns an error if the file is unreadable, is not a regular file of at most 64 MiB, is not
+    /// a baseline of these versions, or contains an invalid reference.
     pub fn read(path: &Path) -> Result<Self, AlertError> {
         let text = read_text_up_to(path, MOST_BYTES).map_err(|source| AlertError::File {
             path: path.to_owned(),
@@ -142,7 +142,7 @@ impl Baseline {
     /// complete.
     ///
     /// # Errors
-    /// Fails if the file is not writable.
+    /// Returns an error if the file is not writable.
     pub fn write(&self, path: &Path) -> Result<(), AlertError> {
         let file = File {
             format: FORMAT.to_owned(),

@@ -49,7 +49,7 @@ impl RawFormat {
     /// Reads the samples of one message, one packet per column.
     ///
     /// # Errors
-    /// The length is not a multiple of the length of a row.
+    /// Returns an error if the length is not a multiple of the length of a row.
     pub fn parse(&self, bytes: &[u8]) -> Result<Vec<Packet>, LineFault> {
         let row = self.number.bytes() * self.columns.len();
         if row == 0 || bytes.is_empty() || !bytes.len().is_multiple_of(row) {

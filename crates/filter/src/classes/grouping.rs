@@ -75,7 +75,7 @@ impl Grouping {
     /// (5.59).
     ///
     /// # Errors
-    /// As for [`Grouping::new`].
+    /// Returns the same errors as [`Grouping::new`].
     pub fn apart(members: Vec<usize>, components: usize) -> Result<Self, FilterError> {
         Self::new(vec![members], components)
     }

@@ -74,7 +74,7 @@ impl<M: ProcessModel + ObservationModel + Clone + Send> WarmStartedParticleFilte
     /// Returns to the prior.
     ///
     /// # Errors
-    /// Passes on errors of both filters, which do not occur after a successful
+    /// Returns errors of both filters, which do not occur after a successful
     /// [`WarmStartedParticleFilter::new`].
     pub fn restart(&mut self) -> Result<(), FilterError> {
         self.kalman.restart();

@@ -41,7 +41,7 @@ impl Fusion {
     /// Restores a checkpoint of an earlier run. This must precede the first input.
     ///
     /// # Errors
-    /// Fails if the state does not match the structure. The station is then unchanged.
+    /// Returns an error if the state does not match the structure. The station is then unchanged.
     pub fn restore(&mut self, state: FusionState) -> Result<(), FilterError> {
         let FusionState {
             epoch,

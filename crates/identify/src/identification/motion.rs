@@ -34,7 +34,7 @@ impl Motion {
     /// Returns `None` if the structure file does not state what strong motion is.
     ///
     /// # Errors
-    /// A setting is out of range.
+    /// Returns an error if a setting is out of range.
     pub(super) fn new(structure: &Structure) -> Result<Option<Self>, EarthquakeError> {
         let Some(plan) = structure.earthquakes() else {
             return Ok(None);

@@ -296,7 +296,7 @@ impl Reliability {
     /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// Fails if it belongs to other channels.
+    /// Returns an error if it belongs to other channels.
     pub(super) fn restore(&mut self, state: ReliabilityState) -> Result<(), FilterError> {
         for (what, found, expected) in [
             (

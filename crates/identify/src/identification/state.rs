@@ -83,8 +83,8 @@ impl Identification {
     /// Restores the state of a checkpoint.
     ///
     /// # Errors
-    /// Fails if the state does not match the structure. The identification may then be partly
-    /// restored and must not be used.
+    /// Returns an error if the state does not match the structure. The identification may then be
+    /// partly restored and must not be used.
     pub fn restore(&mut self, state: IdentificationState) -> Result<(), FilterError> {
         let sizes = [
             (

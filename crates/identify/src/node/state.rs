@@ -43,7 +43,7 @@ impl NodeIdentification {
     /// Restores a checkpoint of an earlier run. This must precede the first input.
     ///
     /// # Errors
-    /// Fails if the state does not match the node. The worker is then unchanged.
+    /// Returns an error if the state does not match the node. The worker is then unchanged.
     pub fn restore(&mut self, state: NodeIdentificationState) -> Result<(), FilterError> {
         let sizes = [
             (

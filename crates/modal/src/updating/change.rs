@@ -78,7 +78,7 @@ impl UpdateReference {
     /// other channels, takes no part. Without any mode, the result is the prior.
     ///
     /// # Errors
-    /// A decomposition fails.
+    /// Returns an error if a decomposition fails.
     pub fn change(
         &self,
         model: &PartModel,
@@ -106,7 +106,7 @@ impl UpdateReference {
     /// Returns how precisely an epoch like those of the commissioning determines each change.
     ///
     /// # Errors
-    /// A decomposition fails.
+    /// Returns an error if a decomposition fails.
     pub fn precision(&self, model: &PartModel) -> Result<UpdatePrecision, ModalError> {
         let start = self.predict(model, &self.ln_stiffness)?;
         let none = DVector::zeros(model.parts());

@@ -44,7 +44,7 @@ impl PartModel {
     /// clearly resemble one mode of the model, or resembles the same one as another measured shape.
     ///
     /// # Errors
-    /// The eigenvalue problem has no finite solution.
+    /// Returns an error if the eigenvalue problem has no finite solution.
     pub fn compare(
         &self,
         ln_stiffness: &DVector<f64>,

@@ -67,7 +67,7 @@ impl PartModel {
     ///   factor that all channels have in common
     ///
     /// # Errors
-    /// The sizes differ, or the mass matrix is not positive definite.
+    /// Returns an error if the sizes differ, or if the mass matrix is not positive definite.
     pub fn new(
         mass: DMatrix<f64>,
         fixed: DMatrix<f64>,
@@ -106,7 +106,7 @@ impl PartModel {
     /// their shapes at the sensors in columns.
     ///
     /// # Errors
-    /// The eigenvalue problem has no finite solution.
+    /// Returns an error if the eigenvalue problem has no finite solution.
     pub fn modes(
         &self,
         ln_stiffness: &DVector<f64>,

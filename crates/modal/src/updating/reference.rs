@@ -139,7 +139,8 @@ impl UpdateReference {
     /// The scatter between epochs is that of the prior.
     ///
     /// # Errors
-    /// No declared frequency is near one of the model, or a decomposition fails.
+    /// Returns an error if no declared frequency is near one of the model, or if a decomposition
+    /// fails.
     pub fn expected(
         model: &PartModel,
         settings: &UpdateSettings,

@@ -26,7 +26,7 @@ pub(crate) fn is_mini_seed(head: &[u8]) -> bool {
 /// SeedLink. Skips text channels such as logs.
 ///
 /// # Errors
-/// A record is damaged, or no record has samples.
+/// Returns an error if a record is damaged, or if no record has samples.
 pub fn read(bytes: &[u8]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut records = Vec::new();
     let mut start = 0;

@@ -40,7 +40,8 @@ impl FrameLogReader {
     /// or after `after`.
     ///
     /// # Errors
-    /// A segment cannot be opened or read. A damaged chunk counts as a gap, not as an error.
+    /// Returns an error if a segment cannot be opened or read. A damaged chunk counts as a gap, not
+    /// as an error.
     pub fn read(
         &self,
         epoch: u64,

@@ -42,8 +42,8 @@ impl LogSyncer {
     /// already is.
     ///
     /// # Errors
-    /// Syncing failed. The next call retries the files. The data may still be lost, because some
-    /// operating systems report such an error only once.
+    /// Returns an error if syncing failed. The next call retries the files. The data may still be
+    /// lost, because some operating systems report such an error only once.
     pub fn sync(&self) -> Result<(), RecordError> {
         let _turn = self
             .shared

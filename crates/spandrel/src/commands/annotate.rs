@@ -24,7 +24,8 @@ const STATUSES_WAITING: usize = 16;
 /// Sends an annotation, and waits until judge has kept it.
 ///
 /// # Errors
-/// An argument is not valid, or judge does not confirm the annotation in time.
+/// Returns an error if an argument is not valid, or if judge does not confirm the annotation in
+/// time.
 pub fn run(arguments: &AnnotateArguments) -> Result<(), AppError> {
     let config = joining_by_default(Settings::load(&arguments.bus)?.bus);
     let annotation = annotation(arguments, Clock::of_machine().now_ns())?;

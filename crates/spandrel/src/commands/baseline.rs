@@ -35,7 +35,7 @@ const MOST_LEFT_OUT: usize = 12;
 /// Leaves out recordings from which nothing can be learnt, and names them.
 ///
 /// # Errors
-/// A file is not valid, or no recording is usable.
+/// Returns an error if a file is not valid, or if no recording is usable.
 pub fn run(arguments: &BaselineArguments) -> Result<(), AppError> {
     let inputs = std::iter::once(&arguments.structure).chain(&arguments.record);
     refuse_overwriting(&arguments.output, inputs.map(|path| path.as_path()))?;
@@ -94,7 +94,7 @@ struct Used<'p> {
 /// Returns what the baseline uses of a recording, and names what it does not use.
 ///
 /// # Errors
-/// The recording is unusable as a whole.
+/// Returns an error if the recording is unusable as a whole.
 fn usable<'p>(
     structure: &Structure,
     path: &'p Path,

@@ -63,7 +63,7 @@ struct Load {
 /// Runs one measurement, or several up to the largest sustained number of structures.
 ///
 /// # Errors
-/// A structure is not valid, or a service fails.
+/// Returns an error if a structure is not valid, or if a service fails.
 pub fn run(arguments: &BenchArguments) -> Result<(), AppError> {
     let text = match &arguments.structure {
         Some(path) => {

@@ -42,7 +42,8 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 /// Checks a structure file and prints the report. Warnings do not change the exit code.
 ///
 /// # Errors
-/// The file is not valid, a recording cannot be read, or no live data of this file arrive.
+/// Returns an error if the file is not valid, a recording cannot be read, or no live data of this
+/// file arrive.
 pub fn run(arguments: CheckArguments) -> Result<(), AppError> {
     if arguments.live.is_some() || !arguments.record.is_empty() {
         let structure = Structure::read_with_model(&arguments.structure)?;

@@ -8,7 +8,7 @@ use spandrel_record::{OutputFormat, RecordedFile};
 /// Reads a recording and writes it as CSV or MCAP, in SI units if its units are known.
 ///
 /// # Errors
-/// The recording is not valid or cannot be written in that format.
+/// Returns an error if the recording is not valid or cannot be written in that format.
 pub fn run(arguments: &ConvertArguments) -> Result<(), AppError> {
     refuse_overwriting(&arguments.output, [arguments.record.as_path()])?;
     OutputFormat::of(&arguments.output)?;

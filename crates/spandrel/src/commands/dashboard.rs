@@ -16,8 +16,8 @@ use tracing::info;
 /// Serves the page until Ctrl-C or SIGTERM.
 ///
 /// # Errors
-/// The configuration or a structure is not valid, no process replies on the bus, or the address is
-/// in use.
+/// Returns an error if the configuration or a structure is not valid, no process replies on the
+/// bus, or the address is in use.
 pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.service.bus)?;
     let watched = read_structures(&settings, &arguments.service.structures)?;

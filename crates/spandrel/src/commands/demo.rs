@@ -39,7 +39,7 @@ const NODES_WAITING: usize = 1 << 14;
 /// Runs the demo and prints its result.
 ///
 /// # Errors
-/// The bus cannot be joined, or a service fails.
+/// Returns an error if the bus cannot be joined, or if a service fails.
 pub fn run(arguments: DemoArguments) -> Result<(), AppError> {
     let settings = Settings::load(&arguments.bus)?;
     let structure = match &arguments.structure {

@@ -17,8 +17,8 @@ const INDEX: &str = "index.html";
 /// Reports each recording, in the order of time, and writes the ranked list.
 ///
 /// # Errors
-/// A file is not valid or cannot be written. The reports of all valid recordings are written before
-/// the first recording that is not valid is reported as an error.
+/// Returns an error if a file is not valid or cannot be written. The reports of all valid
+/// recordings are written before the first recording that is not valid is reported as an error.
 pub fn run(arguments: &EarthquakeArguments) -> Result<(), AppError> {
     let structure = Structure::read_with_model(&arguments.structure)?;
     let of_file = ReportSettings::of(structure.earthquakes());

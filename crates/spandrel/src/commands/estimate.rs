@@ -16,7 +16,7 @@ use tracing::warn;
 /// Identifies the recording, writes the estimates on request, and prints the summary.
 ///
 /// # Errors
-/// A file is not valid or cannot be written.
+/// Returns an error if a file is not valid or cannot be written.
 pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     if let Some(output) = &arguments.output {
         let inputs = [

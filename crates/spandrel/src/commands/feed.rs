@@ -14,8 +14,8 @@ use std::time::Duration;
 /// Runs the feed until it is stopped, or checks its sources.
 ///
 /// # Errors
-/// The configuration is not valid, the bus cannot be joined, or a channel delivers nothing during a
-/// check.
+/// Returns an error if the configuration is not valid, the bus cannot be joined, or a channel
+/// delivers nothing during a check.
 pub fn run(arguments: &FeedArguments) -> Result<(), AppError> {
     match arguments.check {
         true => check(arguments),

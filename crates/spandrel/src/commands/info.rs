@@ -8,7 +8,7 @@ use spandrel_record::{RecordedFile, RecordingSummary};
 /// Reads a recording and prints its channels, time span, gaps, statistics and spectral peaks.
 ///
 /// # Errors
-/// The recording is not valid.
+/// Returns an error if the recording is not valid.
 pub fn run(arguments: &InfoArguments) -> Result<(), AppError> {
     let file = RecordedFile::read(&arguments.record, &arguments.reading.options())?;
     let summary = RecordingSummary::of(&file);

@@ -25,7 +25,8 @@ const MOST_ANNOTATION_BYTES: u64 = 64 << 20;
 /// per judgement.
 ///
 /// # Errors
-/// A file is not valid, a condition has a value that its unit does not allow, or the service fails.
+/// Returns an error if a file is not valid, a condition has a value that its unit does not allow,
+/// or the service fails.
 pub fn run(arguments: &JudgeArguments) -> Result<(), AppError> {
     if let Some(file) = &arguments.example.example {
         return example::run(file, &arguments.example);

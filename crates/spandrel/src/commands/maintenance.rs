@@ -20,7 +20,7 @@ const STATUSES_WAITING: usize = 16;
 /// Begins, ends or lists the maintenance of a structure.
 ///
 /// # Errors
-/// An argument is not valid, or notify does not confirm the request in time.
+/// Returns an error if an argument is not valid, or if notify does not confirm the request in time.
 pub fn run(arguments: &MaintenanceArguments) -> Result<(), AppError> {
     let config = joining_by_default(Settings::load(&arguments.bus)?.bus);
     let request = request(arguments, Clock::of_machine().now_ns())?;

@@ -23,8 +23,8 @@ const MODES_CSV: &str = "modes.csv";
 /// Runs the service, or reads a recording, identifies its modes and prints them.
 ///
 /// # Errors
-/// The recording or an option is not valid, the recording is too short, it has no mode, a file
-/// cannot be written, or the service fails.
+/// Returns an error if the recording or an option is not valid, the recording is too short, it has
+/// no mode, a file cannot be written, or the service fails.
 pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
     if arguments.live {
         let service = ServiceArguments {

@@ -11,7 +11,8 @@ use spandrel_notify::{Trial, try_receivers};
 /// Runs the notifications, or sends one test notice to each receiver with `--test`.
 ///
 /// # Errors
-/// The configuration is not valid, the service fails, or a test notice was not delivered.
+/// Returns an error if the configuration is not valid, the service fails, or a test notice was not
+/// delivered.
 pub fn run(arguments: &NotifyArguments) -> Result<(), AppError> {
     if !arguments.test {
         return one(&arguments.service, Services::NOTIFY, Share::ALL);

@@ -18,7 +18,7 @@ use spandrel_structure::Structure;
 /// Replays until the end of the recording, or until Ctrl-C.
 ///
 /// # Errors
-/// A file is not valid, or the bus cannot be joined.
+/// Returns an error if a file is not valid, or if the bus cannot be joined.
 pub fn run(arguments: ReplayArguments) -> Result<(), AppError> {
     let structure = Structure::read(&arguments.structure)?;
     let recording = open_record(&structure, &arguments.record)?;

@@ -10,7 +10,8 @@ use tracing::{info, warn};
 /// Routes until Ctrl-C or SIGTERM.
 ///
 /// # Errors
-/// The file is not valid, it admits others without a certificate, or an endpoint is in use.
+/// Returns an error if the file is not valid, it admits others without a certificate, or an
+/// endpoint is in use.
 pub fn run(arguments: &RouterArguments) -> Result<(), AppError> {
     block_on(async {
         let (bus, listen) = Bus::open_router(&arguments.file).await?;

@@ -89,7 +89,7 @@ impl Services {
 /// Runs services without a page until Ctrl-C or SIGTERM.
 ///
 /// # Errors
-/// The same as for [`run`].
+/// Returns the same errors as [`run`].
 pub fn one(
     arguments: &ServiceArguments,
     services: Services,
@@ -386,7 +386,8 @@ fn check_work(services: Services, watched: &[Watched]) -> Result<(), AppError> {
 /// Returns the access control of an isolated process.
 ///
 /// # Errors
-/// Services of other processes would be refused, or the access control would have no effect.
+/// Returns an error if services of other processes would be refused, or if the access control would
+/// have no effect.
 fn isolation_of(
     settings: &Settings,
     services: Services,
@@ -420,7 +421,7 @@ fn isolation_of(
 /// Checks the sources of the configuration against the structures.
 ///
 /// # Errors
-/// A source has mistakes.
+/// Returns an error if a source has mistakes.
 pub fn checked_feed(settings: &Settings, watched: &[Watched]) -> Result<FeedConfig, AppError> {
     let structures: Vec<&Structure> = watched.iter().map(|watched| &watched.structure).collect();
     Ok(settings.feed.check(&structures)?)
@@ -430,7 +431,8 @@ pub fn checked_feed(settings: &Settings, watched: &[Watched]) -> Result<FeedConf
 /// and restarts the services.
 ///
 /// # Errors
-/// The configuration or a structure is not valid, the bus cannot be joined, or a service fails.
+/// Returns an error if the configuration or a structure is not valid, the bus cannot be joined, or
+/// a service fails.
 pub fn run(
     arguments: &ServiceArguments,
     services: Services,
@@ -532,7 +534,7 @@ enum Ended {
 /// address.
 ///
 /// # Errors
-/// The process cannot listen on the address, or the bus is closed.
+/// Returns an error if the process cannot listen on the address, or if the bus is closed.
 pub async fn serve_page(
     running: &mut Running,
     settings: &PageSettings,

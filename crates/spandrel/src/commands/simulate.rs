@@ -36,7 +36,7 @@ const FARTHEST_START_S: f64 = 86_400.0;
 /// Simulates for the requested time, or until Ctrl-C.
 ///
 /// # Errors
-/// A file is not valid or cannot be written, or the bus cannot be joined.
+/// Returns an error if a file is not valid or cannot be written, or if the bus cannot be joined.
 pub fn run(arguments: SimulateArguments) -> Result<(), AppError> {
     let structure = Structure::read_with_model(&arguments.structure)?;
     let seed = arguments.seed.unwrap_or(structure.simulation().seed());
@@ -174,7 +174,7 @@ pub struct Simulation {
 /// samples whose time has passed.
 ///
 /// # Errors
-/// The bus is closed.
+/// Returns an error if the bus is closed.
 pub async fn simulate(
     bus: &Bus,
     structure: &Structure,

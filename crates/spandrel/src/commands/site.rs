@@ -21,7 +21,8 @@ const ROUTER_FILE: &str = "router.json5";
 /// Runs a command on the folder of a site.
 ///
 /// # Errors
-/// A file already exists, a name or file is not valid, or a file cannot be written.
+/// Returns an error if a file already exists, a name or file is not valid, or a file cannot be
+/// written.
 pub fn run(command: SiteCommand) -> Result<(), AppError> {
     match command {
         SiteCommand::Create {

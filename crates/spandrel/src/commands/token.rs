@@ -10,7 +10,7 @@ use tracing::info;
 /// Creates a token, prints it, and stores its hash.
 ///
 /// # Errors
-/// The name already has a token, or the file cannot be read or written.
+/// Returns an error if the name already has a token, or if the file cannot be read or written.
 pub fn run(arguments: &TokenArguments) -> Result<(), AppError> {
     let role = match arguments.role {
         TokenRole::Viewer => PageRole::Viewer,

@@ -25,7 +25,8 @@ const STEPS: u64 = 1000;
 /// Runs the cases and prints their figures.
 ///
 /// # Errors
-/// A case is unknown, a report cannot be written, or a figure does not meet its requirement.
+/// Returns an error if a case is unknown, a report cannot be written, or a figure does not meet its
+/// requirement.
 pub fn run(arguments: &ValidateArguments) -> Result<(), AppError> {
     if arguments.list {
         return list();

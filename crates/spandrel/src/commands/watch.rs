@@ -11,7 +11,7 @@ use spandrel_bus::{Bus, BusConfig, DEFAULT_ENDPOINT, Mode, Name};
 /// Shows one structure, or all, until the user quits or a signal stops the process.
 ///
 /// # Errors
-/// The configuration is not valid, or no process replies on the bus.
+/// Returns an error if the configuration is not valid, or if no process replies on the bus.
 pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
     let bus = joining_by_default(Settings::load(&arguments.bus)?.bus);
     let root = Name::new(&*bus.root)?;
@@ -39,7 +39,8 @@ pub fn run(arguments: WatchArguments) -> Result<(), AppError> {
 /// quits.
 ///
 /// # Errors
-/// The structure's name is not valid in a key, the session is closed, or the terminal has failed.
+/// Returns an error if the structure's name is not valid in a key, the session is closed, or the
+/// terminal has failed.
 pub async fn show(
     bus: &Bus,
     root: &Name,

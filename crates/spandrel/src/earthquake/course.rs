@@ -51,7 +51,7 @@ impl Course {
     /// Begins with the first event of a structure.
     ///
     /// # Errors
-    /// A setting is out of range.
+    /// Returns an error if a setting is out of range.
     pub fn new(with: WithDisplacements, settings: ReportSettings) -> Result<Self, AppError> {
         let whole = whole::names(&with.structure).into_iter().enumerate();
         let whole = whole.map(|(index, name)| (Source::WholeStructure, index, name));
@@ -86,7 +86,7 @@ impl Course {
     /// running services, in words.
     ///
     /// # Errors
-    /// The recording cannot be identified.
+    /// Returns an error if the recording cannot be identified.
     pub fn report(
         &mut self,
         record: &EventRecord,

@@ -79,7 +79,8 @@ impl EventRecord {
     /// Reads a recording.
     ///
     /// # Errors
-    /// The recording does not match the structure file, or has too few samples for its length.
+    /// Returns an error if the recording does not match the structure file, or has too few samples
+    /// for its length.
     pub fn read(structure: &Structure, path: &Path) -> Result<Self, AppError> {
         let rows = recorded_rows(open_record(structure, path)?, 0);
         Self::from_rows(structure, path, rows.collect::<Result<_, _>>()?)
@@ -89,7 +90,7 @@ impl EventRecord {
     /// column per channel (SI).
     ///
     /// # Errors
-    /// As for [`EventRecord::read`].
+    /// Returns the same errors as [`EventRecord::read`].
     pub fn read_frames(structure: &Structure, path: &Path) -> Result<Self, AppError> {
         let mapping = ColumnMapping::by_name(structure.channels().map(Channel::name));
         let rows = recorded_rows(CsvReader::open(path, &mapping)?, 0);
@@ -160,7 +161,7 @@ impl EventRecord {
     /// else of the ground.
     ///
     /// # Errors
-    /// The structure has no acceleration.
+    /// Returns an error if the structure has no acceleration.
     pub fn amplitude_channels(&self, structure: &Structure) -> Result<Vec<&[f64]>, AppError> {
         let accelerations = |is_excitation: bool| -> Vec<&[f64]> {
             let all = structure.channels().zip(&self.channels);

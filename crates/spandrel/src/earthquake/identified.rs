@@ -41,7 +41,7 @@ pub struct ResponsePeak {
 /// Identifies a recording by the same steps as `spandrel estimate`.
 ///
 /// # Errors
-/// The structure cannot be identified.
+/// Returns an error if the structure cannot be identified.
 pub fn identify(with: &WithDisplacements, record: &EventRecord) -> Result<Identified, AppError> {
     let structure = &with.structure;
     let frames = record.channels.first().map_or(0, Vec::len);

@@ -55,7 +55,7 @@ impl Entry {
 /// Reads the reports of a folder. Other files are skipped.
 ///
 /// # Errors
-/// The folder cannot be read.
+/// Returns an error if the folder cannot be read.
 pub fn entries(folder: &Path) -> Result<Vec<Entry>, AppError> {
     let unreadable = |source| AppError::Io {
         what: format!("cannot read {}", folder.display()),

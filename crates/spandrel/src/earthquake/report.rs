@@ -287,7 +287,7 @@ impl EventReport {
     /// Puts the report together.
     ///
     /// # Errors
-    /// A spectral value cannot be computed.
+    /// Returns an error if a spectral value cannot be computed.
     pub fn new(parts: Parts<'_>) -> Result<Self, AppError> {
         let Parts {
             structure,

@@ -31,7 +31,7 @@ pub fn names(structure: &Structure) -> Vec<String> {
 /// it is.
 ///
 /// # Errors
-/// The band limit is not valid.
+/// Returns an error if the band limit is not valid.
 pub fn motions(
     structure: &Structure,
     record: &EventRecord,

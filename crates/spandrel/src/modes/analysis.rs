@@ -78,7 +78,7 @@ pub struct Absence {
 /// Identifies the modes of recordings of the same channels.
 ///
 /// # Errors
-/// A choice is not valid, or all recordings are too short.
+/// Returns an error if a choice is not valid, or if all recordings are too short.
 pub fn analyse(records: &[Frames], choice: &Choice) -> Result<Analysis, AppError> {
     let (frames, settings) = settings(records, choice)?;
     let ladder = ladder(&settings, choice).map_err(|source| failed(frames, source))?;
@@ -89,7 +89,7 @@ pub fn analyse(records: &[Frames], choice: &Choice) -> Result<Analysis, AppError
 /// Identifies the modes of recordings as the service `modes` does for live frames.
 ///
 /// # Errors
-/// All recordings are too short, or have no usable epoch.
+/// Returns an error if all recordings are too short, or have no usable epoch.
 pub fn follow(
     records: &[Frames],
     structure: &Structure,

@@ -24,7 +24,7 @@ type Error = Box<dyn std::error::Error>;
 /// Returns the poles of all orders over frequency, for the last epoch.
 ///
 /// # Errors
-/// The diagram cannot be drawn.
+/// Returns an error if the diagram cannot be drawn.
 pub fn stabilisation(analysis: &Analysis) -> Result<String, Error> {
     let mut text = String::new();
     {
@@ -89,7 +89,7 @@ pub fn stabilisation(analysis: &Analysis) -> Result<String, Error> {
 /// with the modes.
 ///
 /// # Errors
-/// The diagram cannot be drawn.
+/// Returns an error if the diagram cannot be drawn.
 pub fn singular_values(analysis: &Analysis) -> Result<String, Error> {
     let curves = mean_singular_values(analysis);
     let end = upper_end(analysis);

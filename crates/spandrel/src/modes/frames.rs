@@ -112,7 +112,7 @@ struct Loaded<'p> {
 /// and otherwise the folder as a whole.
 ///
 /// # Errors
-/// The folder or one of its files cannot be read.
+/// Returns an error if the folder or one of its files cannot be read.
 pub fn recordings(path: &Path, options: &ReadOptions) -> Result<Vec<PathBuf>, AppError> {
     let whole = vec![path.to_owned()];
     if !path.is_dir() {
@@ -154,9 +154,9 @@ impl Frames {
     /// Reads recordings of the same channels at the same rate.
     ///
     /// # Errors
-    /// A file is not valid or does not match the structure file, a channel has no or another
-    /// sampling rate, a recording has other channels than the first, or fewer than two channels are
-    /// of use.
+    /// Returns an error if a file is not valid or does not match the structure file, a channel has
+    /// no or another sampling rate, a recording has other channels than the first, or fewer than
+    /// two channels are of use.
     pub fn read(paths: &[PathBuf], reading: Reading<'_>) -> Result<Vec<Self>, AppError> {
         let loaded = paths.iter().map(|path| Loaded::read(path, reading));
         let loaded: Vec<Loaded<'_>> = loaded.collect::<Result<_, _>>()?;
@@ -246,7 +246,7 @@ impl Frames {
     /// Returns the position of a channel.
     ///
     /// # Errors
-    /// No used channel has this name. The error lists the names.
+    /// Returns an error if no used channel has this name. The error lists the names.
     pub fn position(&self, name: &str) -> Result<usize, AppError> {
         let names = || self.names.iter().map(String::as_str);
         names()

@@ -83,7 +83,7 @@ impl StiffnessCourse {
     /// Notes what the commissioning has taught.
     ///
     /// # Errors
-    /// A decomposition fails.
+    /// Returns an error if a decomposition fails.
     pub fn finish(&mut self, stiffnesses: &Stiffnesses) -> Result<(), AppError> {
         self.commissioning = stiffnesses.commissioning();
         self.learnt = match stiffnesses.reference() {

@@ -40,7 +40,7 @@ impl Screen {
     /// Initialises the terminal.
     ///
     /// # Errors
-    /// Standard output is not a terminal, or it cannot be initialised.
+    /// Returns an error if standard output is not a terminal, or if it cannot be initialised.
     pub fn open() -> Result<Self, AppError> {
         let cannot = |what: &str| {
             let what = what.to_owned();
@@ -66,7 +66,7 @@ impl Screen {
     /// Waits for a key or a change of the window size.
     ///
     /// # Errors
-    /// The terminal has failed.
+    /// Returns an error if the terminal has failed.
     pub async fn event(&self) -> Result<Event, AppError> {
         let gone = || io::Error::from(io::ErrorKind::BrokenPipe);
         let read = match &self.keys {
@@ -82,7 +82,7 @@ impl Screen {
     /// Draws the view.
     ///
     /// # Errors
-    /// The terminal has failed.
+    /// Returns an error if the terminal has failed.
     pub fn draw(&mut self, view: &View) -> Result<(), AppError> {
         // A slow terminal, or one stopped with Ctrl-S, blocks this thread.
         let drawn =

@@ -49,7 +49,7 @@ const LINE_EVERY: Duration = Duration::from_secs(1);
 /// On a terminal it shows a screen with keys, otherwise it prints lines to standard output.
 ///
 /// # Errors
-/// The session is closed, or the terminal has failed.
+/// Returns an error if the session is closed, or if the terminal has failed.
 pub async fn show(
     bus: &Bus,
     root: &Name,

@@ -10,8 +10,8 @@ use std::path::Path;
 /// Writes the series to a file.
 ///
 /// # Errors
-/// The days of loss and repair do not match the length of the series, or the file cannot be
-/// written.
+/// Returns an error if the days of loss and repair do not match the length of the series, or if the
+/// file cannot be written.
 pub fn run(file: &Path, arguments: &ExampleArguments) -> Result<(), AppError> {
     let rows = seasons(arguments.seed, arguments.days, loss(arguments)?);
     let replacing = in_place_of(file);

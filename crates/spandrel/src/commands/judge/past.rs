@@ -13,7 +13,8 @@ use std::fmt::Write as _;
 /// Judges the saved epochs up to `at`, and prints the state of each quantity.
 ///
 /// # Errors
-/// The time is not valid, or the epochs or the configuration of then are not known.
+/// Returns an error if the time is not valid, or if the epochs or the configuration of that time
+/// are not known.
 pub fn run(arguments: &JudgeArguments, at: &str) -> Result<(), AppError> {
     let [structure] = arguments.service.structures.as_slice() else {
         let found = arguments.service.structures.len();
