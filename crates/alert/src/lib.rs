@@ -22,7 +22,7 @@
 //!
 //! - [`mod@reference`]: the reference of a loss
 //! - [`rule`]: the owner's rule: loss, credibility and sustain time
-//! - [`credibility`], `scatter`: the probability of a loss, also if few records determine the
+//! - [`credibility`], `scatter`: the probability of a loss, even if few records determine the
 //!   scatter
 //! - [`support`]: whether the data support a decision
 //! - `motion`: strong motion, in which a loss alone shows no damage

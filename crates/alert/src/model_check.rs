@@ -289,8 +289,8 @@ impl ModelCheck {
         ))
     }
 
-    /// Returns a mode as the model is compared with it. `None` if it is missing, cannot be told
-    /// from another one, or a machine runs at its frequency.
+    /// Returns a mode as the model is compared with it. `None` if the mode is missing or cannot be
+    /// distinguished from another one, or if a machine runs at its frequency.
     fn seen(&self, display: &ModeDisplay) -> Option<SeenMode> {
         let is_reliable = display.state == ModeState::Tracked && !display.machine;
         let estimate = display.estimate.as_ref().filter(|_| is_reliable)?;

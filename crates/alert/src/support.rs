@@ -201,7 +201,7 @@ fn is_within(span_ns: i64, since_ns: i64, time_ns: i64) -> bool {
     (0..span_ns).contains(&time_ns.saturating_sub(since_ns))
 }
 
-/// Number of frames since the reference was known, and of those without a decision.
+/// Number of frames since the reference was known, and how many of them had no decision.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DecidedFrames {
     frames: u64,

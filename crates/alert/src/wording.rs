@@ -15,12 +15,12 @@ pub(crate) const SENSORS_DISAGREE: &str = "the sensors measure different motions
 /// Why nothing is decided without samples of the structure.
 pub(crate) const RESPONSE_IS_SILENT: &str = "no sensor of the response delivers usable samples";
 
-/// What an alert is seen against.
+/// The context of an alert, for its text.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Before<'a> {
     /// The last announced alert.
     pub(crate) alert: Option<&'a Alert>,
-    /// The last estimate. It explains why nothing is decided, also if an unconfirmed alert states
+    /// The last estimate. It explains why nothing is decided, even if an unconfirmed alert states
     /// an earlier one.
     pub(crate) now: ParameterEstimate,
     /// Whether no sensor of the response delivers samples.

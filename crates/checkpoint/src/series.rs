@@ -356,8 +356,8 @@ fn create_folder(folder: &Path) -> io::Result<()> {
 
 /// Syncs the name of a file or folder to disk, and the names of the folders above it.
 ///
-/// After a power failure, a synced file is found only if these names are synced, too. Folders that
-/// cannot be opened are omitted.
+/// After a power failure, a synced file can be found only if these names have also been synced.
+/// Folders that cannot be opened are omitted.
 pub fn sync_name(path: &Path) {
     for folder in path.ancestors().skip(1) {
         let folder = match folder.as_os_str().is_empty() {

@@ -181,7 +181,7 @@ pub struct Detection {
 }
 
 impl Detection {
-    /// Creates a detection that has seen no frame.
+    /// Creates a detection before the first frame.
     ///
     /// # Errors
     /// Returns an error if a setting is out of range.
@@ -227,7 +227,7 @@ impl Detection {
         &self.state
     }
 
-    /// Restores a state. Returns `false` if it is one of other channels.
+    /// Restores a state. Returns `false` if it belongs to other channels.
     pub fn restore(&mut self, state: DetectionState) -> bool {
         let fits = state.offsets.len() == self.settings.channels;
         if fits {

@@ -61,7 +61,7 @@ pub struct ChannelHealth {
 }
 
 impl Fault {
-    /// Returns the fault in words that complete "the sensor".
+    /// Returns the fault as a predicate, such as "does not follow the motion of the others".
     #[must_use]
     pub fn words(self) -> String {
         match self {

@@ -2,8 +2,9 @@
 //!
 //! Far below the first natural frequency, a structure follows the ground almost rigidly. All
 //! accelerometers along one direction then measure the same motion, whatever the stiffness of the
-//! structure. A channel that differs from the others there has a fault: damage cannot explain it.
-//! Drifting offsets, clipped peaks and exchanged channels have their own tests.
+//! structure. A channel that differs from the others in this band has a fault, because damage
+//! cannot explain the difference. Drifting offsets, clipped peaks and exchanged channels have their
+//! own tests.
 //!
 //! - [`SensorCheck`]: one frame after the other, for all channels of a structure
 //! - [`ChannelHealth`]: the health of one channel

@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 use std::fmt;
 use std::sync::Arc;
 
-/// The Fourier transform of windows of one length, with the weights of Hann.
+/// The Fourier transform of windows of one length, weighted by a Hann window.
 #[derive(Clone)]
 pub struct HannTransform {
     plan: Arc<dyn RealToComplex<f64>>,

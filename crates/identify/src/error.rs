@@ -18,7 +18,7 @@ pub enum IdentifyError {
         /// The cause.
         source: FilterError,
     },
-    /// Strong motion cannot be told from weak motion.
+    /// Strong motion cannot be distinguished from weak motion.
     #[error("cannot find strong motion of structure {structure}")]
     Earthquakes {
         /// Name of the structure.

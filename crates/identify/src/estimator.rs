@@ -331,7 +331,7 @@ impl Estimator {
         }
     }
 
-    /// Returns the prediction of each channel by the last step (SI units), also for missing
+    /// Returns the prediction of each channel by the last step (SI units), including missing
     /// channels. Empty if the estimator is not a single filter.
     #[must_use]
     pub fn predicted(&self) -> &[f64] {

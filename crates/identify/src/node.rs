@@ -298,8 +298,8 @@ impl NodeIdentification {
         })
     }
 
-    /// Returns the number of the message whose feedback must arrive before replayed samples
-    /// continue. Returns `None` if nothing is awaited.
+    /// Returns the sequence number of the message whose feedback must arrive before replayed
+    /// samples continue. `None` if no feedback is awaited.
     #[must_use]
     pub fn awaits(&self) -> Option<u64> {
         self.stream.and_then(|stream| stream.awaits)

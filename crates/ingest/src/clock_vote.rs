@@ -313,7 +313,7 @@ impl ClockVote {
         true
     }
 
-    /// Counts the votes again as time passes, because the votes of silent nodes expire.
+    /// Recounts the votes as time passes, because the votes of silent nodes expire.
     ///
     /// Returns `true` if a clock has become wrong or right.
     pub fn look(&mut self, now: Duration) -> bool {

@@ -229,7 +229,7 @@ impl Listener {
     }
 }
 
-/// The messages of one subscription, whatever their type.
+/// The messages of one subscription, regardless of their type.
 trait Queue: fmt::Debug + Send + Sync {
     /// Appends the waiting messages.
     fn take(&self, root: &Name, inputs: &mut Vec<Input>);

@@ -1,10 +1,10 @@
 //! Output covariances of a stream, accumulated block by block.
 //!
-//! The memory is *B* · (2*i* − 1) · *l* · *r* numbers, whatever the length of the epoch. Blocks
-//! tile the epoch: the product y(n + k) y_ref(n)ᵀ belongs to the block of sample n, also if sample
-//! n + k is in the block after. No product is lost or counted twice, and no window is applied. With
-//! the block of sample n + k instead, the covariances of a free decay would grow with the lag, and
-//! its damping ratio would be negative.
+//! The memory is *B* · (2*i* − 1) · *l* · *r* numbers, independent of the length of the epoch.
+//! Blocks tile the epoch: the product y(n + k) y_ref(n)ᵀ belongs to the block of sample n, even if
+//! sample n + k is in the block after. No product is lost or counted twice, and no window is
+//! applied. With the block of sample n + k instead, the covariances of a free decay would grow with
+//! the lag, and its damping ratio would be negative.
 //!
 //! Source: Peeters & De Roeck (1999), Mech. Syst. Signal Process. 13, 855–878, for the covariances
 //! with references; Döhler & Mevel (2013), Mech. Syst. Signal Process. 38, 346–366, for their

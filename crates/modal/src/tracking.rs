@@ -48,9 +48,9 @@ pub enum TrackEvent {
     Lost(ModeId),
     /// A lost mode is present again.
     Found(ModeId),
-    /// Two modes can no longer be told apart. Only their mean frequency has a meaning.
+    /// Two modes can no longer be distinguished. Only their mean frequency has a meaning.
     Paired(ModeId, ModeId),
-    /// The modes of a pair can be told apart again.
+    /// The modes of a pair can be distinguished again.
     Parted(ModeId, ModeId),
 }
 
@@ -216,7 +216,7 @@ impl Tracker {
         self.candidates.iter().find(|mode| mode.id == id)
     }
 
-    /// Returns the pairs of modes that cannot be told apart.
+    /// Returns the pairs of modes that cannot be distinguished.
     pub fn pairs(&self) -> impl Iterator<Item = (ModeId, ModeId)> {
         self.pairs.iter().copied()
     }

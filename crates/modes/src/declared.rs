@@ -203,7 +203,7 @@ impl DeclaredModes {
         }
     }
 
-    /// Returns `false` if the state is one of other modes. Nothing changes then.
+    /// Returns `false`, and changes nothing, if the state belongs to other modes.
     pub(crate) fn restore(&mut self, mut state: DeclaredState) -> bool {
         let fits = state.modes.len() == self.modes.len();
         if fits {
@@ -277,7 +277,7 @@ impl DeclaredModes {
         }
     }
 
-    /// Gives up a lost mode if another one persists near its declared frequency.
+    /// Replaces a lost mode if another one persists near its declared frequency.
     fn release_lost(&mut self, seen: &Seen<'_>) {
         let DeclaredState { tracker, modes, .. } = &mut self.state;
         for (followed, declared) in modes.iter_mut().zip(&self.modes) {

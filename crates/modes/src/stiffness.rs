@@ -155,8 +155,8 @@ impl Stiffnesses {
         Ok(displays)
     }
 
-    /// Returns a mode as the update uses it. `None` if it is missing, cannot be told from another
-    /// one, or a machine runs at its frequency.
+    /// Returns a mode as the update uses it. `None` if it is missing, cannot be distinguished from
+    /// another one, or if a machine runs at its frequency.
     #[must_use]
     pub fn seen(&self, display: &ModeDisplay) -> Option<SeenMode> {
         let estimate = display.estimate.as_ref();

@@ -316,7 +316,7 @@ const CONNECTED_NS: i64 = 86_400_000_000_000;
 /// An alert may be decided on frames shortly before the strong motion is recognised (ns).
 const BEFORE_NS: i64 = 60_000_000_000;
 
-/// What is known of a structure at the moment of a report.
+/// The state of a structure at the moment of a report.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scene<'s> {
     pub(crate) facts: &'s Facts,

@@ -1,4 +1,4 @@
-//! Decides which lasting changes are worth a notice, and ends what nobody needs any more.
+//! Decides which lasting changes require a notice, and ends notices that are no longer needed.
 
 use crate::content::judgement_key;
 use crate::outbox::Outbox;

@@ -26,7 +26,7 @@ struct State {
     situation: Situation,
 }
 
-/// What is known of a structure besides its notices.
+/// The known state of a structure, apart from its notices.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Situation {
     /// Changes of alerts whose notices are not composed yet.

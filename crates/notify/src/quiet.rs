@@ -80,7 +80,7 @@ fn time_of_day<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Time, D::Er
     text.parse().map_err(refuse)
 }
 
-/// Hours in which notices wait.
+/// A recurring period in which notices wait, such as every night.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct QuietHours {

@@ -17,8 +17,8 @@ pub struct Trial {
     pub result: Result<Duration, String>,
 }
 
-/// Sends one notice with made-up values to each receiver, whatever its states, its quiet hours and
-/// its delay. The settings must have been checked. The call blocks for up to 15 s per receiver.
+/// Sends one notice with made-up values to each receiver, regardless of its states, quiet hours and
+/// delay. The settings must have been checked. The call blocks for up to 15 s per receiver.
 ///
 /// # Errors
 /// Returns an error if a setting is invalid. A failed delivery is part of the result.

@@ -90,7 +90,7 @@ impl<W: Write + Seek> McapWriter<W> {
         })
     }
 
-    /// Writes the metadata of the channels to `output`. Errors name `path`.
+    /// Creates a writer, and writes the metadata of the channels to `output`. Errors name `path`.
     ///
     /// # Errors
     /// Returns an error if the output cannot be written.

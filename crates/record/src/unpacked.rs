@@ -16,7 +16,7 @@ const MOST_OF_ARCHIVE: u64 = 24 << 20;
 /// extract such a file.
 const MOST_OF_FILE: u64 = 4 << 30;
 
-/// Number of bytes that may be decompressed from any file, whatever its compressed size.
+/// Number of bytes that may be decompressed from any file, regardless of its compressed size.
 const FREE_BYTES: u64 = 16 << 20;
 
 /// Maximum ratio of decompressed to compressed size beyond [`FREE_BYTES`].

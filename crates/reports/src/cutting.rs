@@ -6,7 +6,7 @@ use spandrel_checkpoint::Position;
 use spandrel_earthquake::{Cut, CutKind, Detected, Detection, DetectionState, Due};
 use std::collections::VecDeque;
 
-/// A recording that is to be kept.
+/// A recording to store.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Recorded {
     pub(crate) about: About,

@@ -3,7 +3,7 @@
 //! Takes frames and alerts from the bus. Cuts the recording of each earthquake from them, and
 //! recordings of weak motion at set times afterwards. Keeps them as CSV files, has each of them
 //! reported, and replies to queries for the reports. The plan contains what makes a report, so this
-//! crate knows no page and no filter.
+//! crate contains no page and no filter.
 //!
 //! - [`ReportMaker`], [`ReportCourse`], [`MadeReport`]: what makes a report from a recording
 //! - `cutting`: from frames to recordings, without clock, network or files

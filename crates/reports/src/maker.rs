@@ -40,7 +40,7 @@ pub trait ReportMaker: fmt::Debug + Send + Sync {
     fn index(&self, folder: &Path, waiting: &[String]) -> Result<ReportIndex, String>;
 }
 
-/// Reports the recordings of one structure in the order of time.
+/// Reports the recordings of one structure in chronological order.
 pub trait ReportCourse: fmt::Debug + Send {
     /// Reports a recording that is later than all others. `occasion` says why it was recorded, or
     /// is empty for an earthquake. `standing` are the open alerts of the structure, in words.

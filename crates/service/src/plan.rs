@@ -11,7 +11,7 @@ use crate::{Clock, StatusPublisher};
 /// One instance of a service: its session, id and clock.
 #[derive(Clone, Debug)]
 pub struct ServiceInstance {
-    /// The session.
+    /// The connection to the bus.
     pub bus: Bus,
     /// Id of the instance, as in the keys of its status and its liveliness token.
     pub id: Name,

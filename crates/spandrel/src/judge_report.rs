@@ -108,7 +108,7 @@ pub struct Summary<'j> {
 }
 
 impl<'j> Summary<'j> {
-    /// `judgements` are in the order of the days.
+    /// Creates the report of `judgements`, which must be in the order of the days.
     pub fn new(structure: &'j str, epochs: usize, judgements: &'j [Judgement]) -> Self {
         Self {
             structure,

@@ -14,7 +14,7 @@
 //!   corresponds to it), and whether it is `judged`
 //! - `parameters`: the stiffnesses that the modes update, with `name`, `change_std` (standard
 //!   deviation of the relative change that one epoch shows), and `smallest_loss` (the loss that one
-//!   epoch shows with a probability of 0.99 in half of the cases; null if the modes do not see it)
+//!   epoch shows with a probability of 0.99 in half of the cases; null if the modes do not show it)
 //! - `can_tell`, `cannot_tell`, `warnings`: sentences
 
 use crate::commands::counted;
@@ -135,7 +135,7 @@ impl ModalCheckPage {
         .with_parts(structure, plan)
     }
 
-    /// Adds which parts the modes see, if they update stiffnesses.
+    /// Adds the parts that the modes show, if they update stiffnesses.
     fn with_parts(mut self, structure: &Structure, plan: &ModalPlan) -> Result<Self, AppError> {
         let (Some(update), Some(model)) = (&plan.update, structure.part_model()) else {
             return Ok(self);
@@ -199,7 +199,7 @@ impl ModalCheckPage {
     }
 }
 
-/// Names the parts that the modes do not see.
+/// Names the parts that the modes do not show.
 fn unseen(parts: &[PartLine]) -> Option<String> {
     let unseen = parts.iter().filter(|part| part.smallest_loss.is_none());
     let unseen: Vec<&str> = unseen.map(|part| part.name.as_str()).collect();

@@ -178,8 +178,8 @@ impl State {
 
     /// Creates the folders of a structure again if they are missing and the state folder exists.
     ///
-    /// A state folder that is gone may come back, for example with its disk. It is therefore never
-    /// created here.
+    /// A missing state folder may return, for example with its disk. It is therefore never created
+    /// here.
     pub fn restore_folders(&self, keys: &Keys) {
         let of_structure = self.of(keys);
         for name in [RECORDING, CHECKPOINTS] {

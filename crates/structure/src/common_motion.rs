@@ -1,6 +1,6 @@
 //! Channels that move with the ground far below the first natural frequency.
 //!
-//! There the structure follows the ground almost rigidly, whatever its stiffness. All
+//! In this band, the structure follows the ground almost rigidly, regardless of its stiffness. All
 //! accelerometers along one direction then measure nearly the same motion.
 
 use crate::excitation::Action;

@@ -96,7 +96,7 @@ impl Plan {
         self.stopped.store(true, Ordering::Relaxed);
     }
 
-    /// Runs all cases. The report lists them in their original order, whatever the threads did.
+    /// Runs all cases. The report lists them in their original order, independent of the threads.
     ///
     /// # Errors
     /// Returns an error if an outcome cannot be stored. A case that fails does not stop the others

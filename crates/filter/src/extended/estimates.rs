@@ -93,8 +93,8 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         &self.work.update.innovation
     }
 
-    /// Returns what the last step predicted for each channel before it used the datum (N_0), also
-    /// for missing channels.
+    /// Returns the prediction of each channel in the last step, before the correction (N_0). It
+    /// includes missing channels.
     pub fn predicted(&self) -> &DVector<f64> {
         &self.work.predicted
     }

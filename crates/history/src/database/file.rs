@@ -16,7 +16,7 @@ const FOLDER_MODE: u32 = 0o700;
 /// Endings of the files that SQLite keeps beside a database.
 const BESIDE: [&str; 2] = ["-wal", "-shm"];
 
-/// Identity of a file on a disk, whatever its path.
+/// Identity of a file on a disk, independent of its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct FileId {
     device: u64,

@@ -396,7 +396,7 @@ impl UpdatePrecision {
     }
 
     /// Returns the loss of stiffness of a part, as a share, that one epoch shows with a probability
-    /// of 0.99 in half of the cases. `None` if the modes do not see the part: less than half of a
+    /// of 0.99 in half of the cases. `None` if the modes do not show the part: less than half of a
     /// change then appears in its estimate.
     #[must_use]
     pub fn smallest_loss(&self, part: usize) -> Option<f64> {

@@ -157,8 +157,8 @@ impl EventRecord {
         self.channels.first().map_or(0, Vec::len) as f64 / rate_hz
     }
 
-    /// Returns the channels whose motion tells weak from strong: accelerations of the structure, or
-    /// else of the ground.
+    /// Returns the channels that distinguish weak from strong motion: accelerations of the
+    /// structure, or else of the ground.
     ///
     /// # Errors
     /// Returns an error if the structure has no acceleration.

@@ -173,14 +173,14 @@ pub fn least_seen(precision: &UpdatePrecision, part: usize) -> String {
     }
 }
 
-/// Names the pairs of parts that the modes hardly tell apart.
+/// Names the pairs of parts that the modes can hardly distinguish.
 fn trades(course: &StiffnessCourse, precision: &UpdatePrecision) -> String {
     let names: Vec<&str> = course.parts.iter().map(|part| part.name.as_str()).collect();
     let lines = trading(precision, &names).into_iter();
     lines.map(|line| line + "\n").collect()
 }
 
-/// Returns a sentence for each pair of parts whose changes the modes hardly tell apart.
+/// Returns a sentence for each pair of parts whose changes the modes can hardly distinguish.
 pub fn trading(precision: &UpdatePrecision, names: &[&str]) -> Vec<String> {
     let mut all = Vec::new();
     for (one, name) in names.iter().enumerate() {

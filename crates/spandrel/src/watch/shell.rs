@@ -205,7 +205,7 @@ async fn print_lines(
     }
 }
 
-/// The structures whose services or sensors run, for a view of a structure that none knows.
+/// The structures whose services or sensors run, for a view of a structure that no service knows.
 struct Others {
     root: Name,
     live: Vec<LiveWatch>,

@@ -91,8 +91,8 @@ fn read_again(section: &mut Section<'_>) -> Option<Vec<f64>> {
     None
 }
 
-/// Returns the channels that tell weak from strong motion: accelerations of the structure, or else
-/// of its ground.
+/// Returns the channels that distinguish weak from strong motion: accelerations of the structure,
+/// or else of its ground.
 fn watched(channels: &[ChannelRead]) -> Vec<usize> {
     let accelerations = |is_excitation: bool| -> Vec<usize> {
         let quantities = channels.iter().map(|read| read.channel.quantity());

@@ -44,7 +44,7 @@ pub fn ratios(interval: Interval) -> String {
     format!("{:.2} to {:.2}", interval.low, interval.high)
 }
 
-/// The result of weak motion in which nothing stands out. Only a stiffness with a prediction can
+/// The result of weak motion without a conspicuous value. Only a stiffness with a prediction can
 /// show no sign of change.
 pub(super) fn weak_headline(report: &EventReport) -> String {
     let names = |parameters: &[&ParameterReport]| {
