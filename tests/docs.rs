@@ -199,7 +199,8 @@ fn the_command_line_page_matches_the_program() {
         "{names:?}"
     );
     let mut text = format!(
-        "# Command line\n\nWhat `spandrel --help` and `spandrel COMMAND --help` say.\n\n```text\n\
+        "# Command line\n\nThis page contains the output of `spandrel --help` and \
+         `spandrel COMMAND --help`.\n\n```text\n\
          {whole}\n```\n"
     );
     for name in names

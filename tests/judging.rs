@@ -687,7 +687,7 @@ async fn a_past_judgement_is_repeated_with_the_configuration_of_then() {
         .past(epoch_ns, &["--with-configuration", second])
         .expect_code(2)
         .expect_told(&[&format!(
-            "configuration {second} was not in force, but {first}"
+            "configuration {second} was not in force; {first} was"
         )]);
     let too_early = (FIRST_DAY - 1) * 86_400 * SECOND_NS;
     others

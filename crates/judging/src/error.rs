@@ -65,8 +65,8 @@ pub enum JudgingError {
     },
     /// A line of the file of the configurations is damaged, or one is missing before it.
     #[error(
-        "{}:{line}: is damaged, or the line before it is missing, so that it is not known which \
-         configuration was in force; the next start of the service judge keeps the lines before it",
+        "{}:{line}: is damaged, or the line before it is missing, so the configuration in force is \
+         unknown; the next start of the service judge keeps the lines before it",
         path.display()
     )]
     DamagedConfiguration {
@@ -127,8 +127,8 @@ pub enum NoPast {
     },
     /// The time precedes all recorded configurations.
     #[error(
-        "the epochs of then were judged before the first recorded configuration, which is in force \
-         since {}",
+        "the epochs of that time were judged before the first recorded configuration, which is in \
+         force since {}",
         utc(*from_ns)
     )]
     BeforeConfigurations {
@@ -144,16 +144,16 @@ pub enum NoPast {
         last_ns: i64,
     },
     /// The file has other epochs than those that were judged.
-    #[error("{} does not contain the epochs that were judged then", path.display())]
+    #[error("{} does not contain the epochs that were judged at that time", path.display())]
     OtherEpochs {
         /// The file.
         path: PathBuf,
     },
     /// Not all epochs were saved.
-    #[error("not all epochs that were judged then could be saved")]
+    #[error("not all epochs that were judged at that time could be saved")]
     UnsavedEpochs,
     /// Another configuration was in force.
-    #[error("configuration {found} was not in force, but {in_force}")]
+    #[error("configuration {found} was not in force; {in_force} was")]
     NotInForce {
         /// Name of the given configuration.
         found: String,

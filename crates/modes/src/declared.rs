@@ -391,12 +391,12 @@ impl DeclaredModes {
         let (first, second) = (self.name_of(first)?, self.name_of(second)?);
         let (what, why) = match kind {
             EventKind::ModePaired => (
-                format!("modes {first} and {second} cannot be told apart"),
+                format!("modes {first} and {second} cannot be distinguished"),
                 "their frequencies and shapes are too similar; only their mean frequency has a \
                  meaning",
             ),
             _ => (
-                format!("modes {first} and {second} can be told apart again"),
+                format!("modes {first} and {second} can be distinguished again"),
                 "their frequencies or shapes differ",
             ),
         };

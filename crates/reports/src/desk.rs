@@ -127,7 +127,7 @@ pub(crate) fn occasion(kept: &Kept) -> String {
         CutKind::Earthquake { ending, .. } => match ending {
             Ending::Calm => String::new(),
             Ending::Longest => {
-                "The motion goes on. The recording has its maximum length.".to_owned()
+                "The motion continues. The recording has its maximum length.".to_owned()
             }
             Ending::Interrupted => {
                 "The recording is incomplete, because no more samples arrived.".to_owned()

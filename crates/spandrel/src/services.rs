@@ -618,7 +618,7 @@ impl Running {
             let Some(state) = state else {
                 warn!(
                     structure = of,
-                    "no state folder, so that no earthquake is reported"
+                    "no state folder, so earthquakes are not reported"
                 );
                 continue;
             };

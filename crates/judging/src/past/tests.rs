@@ -253,7 +253,7 @@ fn without_a_record_of_then_nothing_is_judged() {
     );
     assert_eq!(
         expected.to_string(),
-        "the epochs of then were judged before the first recorded configuration, which is in \
-         force since 2023-11-14T22:13:20Z"
+        "the epochs of that time were judged before the first recorded configuration, which is \
+         in force since 2023-11-14T22:13:20Z"
     );
 }

@@ -16,7 +16,8 @@ pub struct JudgeArguments {
     /// The structure file then needs no model.
     #[arg(long, value_name = "FILE")]
     pub series: Vec<PathBuf>,
-    /// Print what each reference promises, achieves and misses, and the alarms so far.
+    /// Print the false alarms that each reference promises and achieves, the losses that it misses,
+    /// and the alarms so far.
     #[arg(long)]
     pub report: bool,
     /// Print one JSON object per line: every judgement of every day.
@@ -28,7 +29,7 @@ pub struct JudgeArguments {
     /// Write one row per quantity and day to this CSV file.
     #[arg(long, value_name = "FILE")]
     pub course: Option<PathBuf>,
-    /// Repeat the judgement of the service at this time, with the configuration in force then.
+    /// Repeat the judgement of the service at this time, with the configuration of that time.
     ///
     /// Seconds since 1970, UTC, or ISO 8601 such as 2026-03-01T12:00:00Z. The epochs and
     /// configurations are read from the state folder.
@@ -88,14 +89,14 @@ pub struct EarthquakeArguments {
     /// Structure file.
     #[arg(value_name = "STRUCTURE.toml")]
     pub structure: PathBuf,
-    /// Recordings of the events, weak ones included: files of any known format.
+    /// Recordings of the events, including weak ones: files of any known format.
     ///
     /// They are sorted by their dates. Without dates, the given order counts.
     #[arg(required = true, value_name = "RECORD")]
     pub records: Vec<PathBuf>,
     /// Folder for the reports: EVENT.html and EVENT.json of each event, and index.html.
     ///
-    /// The index lists all reports in the folder, also those of other structures.
+    /// The index lists all reports in the folder, including those of other structures.
     #[arg(long, value_name = "DIR")]
     pub report: PathBuf,
     /// Peak acceleration of the structure above which motion is strong (m/s²) [default: that of

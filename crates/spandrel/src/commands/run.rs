@@ -572,7 +572,7 @@ fn open_in_browser(page: &str) {
         Ok(mut opener) => {
             let thread = std::thread::Builder::new().name("opener".to_owned());
             if let Err(error) = thread.spawn(move || opener.wait()) {
-                warn!(%error, "cannot await the opener of the page");
+                warn!(%error, "cannot wait for the program that opens the page");
             }
         }
         Err(error) => warn!(opener, page, %error, "cannot open a browser"),
