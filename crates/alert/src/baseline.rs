@@ -189,7 +189,7 @@ impl Baseline {
         Ok(baseline)
     }
 
-    /// Adds what the sensors have shown in the records.
+    /// Adds the references of the sensors, as measured in the records.
     #[must_use]
     pub fn with_sensors(mut self, sensors: Vec<SensorReference>) -> Self {
         self.sensors = sensors;

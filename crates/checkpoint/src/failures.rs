@@ -2,8 +2,8 @@
 
 /// A counter of consecutive failures that selects the failures to report.
 ///
-/// The first failure in a row is due for a report, and then each failure that doubles the length of
-/// the row. The success that ends the row is due for a report as well.
+/// It selects the first failure in a row, and then each failure that doubles the length of the row.
+/// It also selects the success that ends the row.
 #[derive(Debug, Default)]
 pub struct Failures {
     total: u64,

@@ -27,7 +27,7 @@ pub struct MotionFigures {
     pub missing: usize,
 }
 
-/// Figures of an acceleration beside [`MotionFigures`].
+/// Figures that apply to accelerations only, in addition to [`MotionFigures`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct IntensityFigures {
     /// Arias intensity I = π/(2g) ∫ a² dt (m/s).

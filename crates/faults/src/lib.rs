@@ -1,8 +1,8 @@
 //! Distinguishes faulty sensors from damage.
 //!
 //! Far below the first natural frequency, a structure follows the ground almost rigidly. All
-//! accelerometers along one direction then measure the same motion, whatever the stiffness of the
-//! structure. A channel that differs from the others in this band has a fault, because damage
+//! accelerometers along one direction then measure the same motion, regardless of the stiffness of
+//! the structure. A channel that differs from the others in this band has a fault, because damage
 //! cannot explain the difference. Drifting offsets, clipped peaks and exchanged channels have their
 //! own tests.
 //!

@@ -35,8 +35,8 @@
 //!
 //! Beside the frames, ingest publishes the extremes and the spectra of the samples for display.
 //!
-//! Ingest does not filter. A frame contains a sample, interpolated at the time of the frame if the
-//! node samples at another instant, or nothing.
+//! Ingest does not filter. For each channel, a frame contains a sample or a missing value. The
+//! sample is interpolated at the time of the frame if the node samples at another instant.
 
 mod counts;
 mod layout;

@@ -39,7 +39,7 @@
 //! - [`Tracker`]: assigns the modes of each epoch to known ones, and proposes new ones
 //! - [`RecordModes`]: all of this for a recording
 //! - [`StiffnessUpdate`]: with a model, the change of the stiffness of each part from these modes
-//! - [`normal_cdf()`]: the normal distribution function, also for the credibility of alerts
+//! - [`normal_cdf()`]: the normal distribution function, which the credibility of alerts also uses
 //!
 //! The crate contains only maths: no files, no clock, no log. If the excitation is measured,
 //! `spandrel-filter` determines the stiffness of the parts at the sampling rate.

@@ -97,8 +97,8 @@ impl StiffnessUpdate {
     /// An epoch without any mode does not count.
     ///
     /// # Errors
-    /// Returns an error if a decomposition fails, or if no mode of the commissioning is one of the
-    /// model. The commissioning then starts again.
+    /// Returns an error if a decomposition fails, or if no mode of the commissioning resembles a
+    /// mode of the model. The commissioning then starts again.
     pub fn handle(
         &mut self,
         epoch: Vec<Option<SeenMode>>,

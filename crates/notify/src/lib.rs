@@ -1,8 +1,9 @@
-//! Sends alerts, losses of sight and wrong clocks to webhooks, to an Alertmanager and by e-mail.
+//! Sends notices of alerts, blind structures and wrong clocks to webhooks, to an Alertmanager and
+//! by e-mail.
 //!
-//! - `sight` decides when a blind or degraded structure is worth a notice.
-//! - `clocks` decides when the wrong clock of a node is worth a notice.
-//! - `lasting` decides when a lasting change is worth a notice.
+//! - `sight` decides when a blind or degraded structure requires a notice.
+//! - `clocks` decides when the wrong clock of a node requires a notice.
+//! - `lasting` decides when a lasting change requires a notice.
 //! - `origin` distinguishes measured samples from replayed and simulated ones.
 //! - `content` composes a notice from a change and its circumstances, with `advice`.
 //! - `outbox` selects the receivers of each notice, drops duplicates, and schedules each notice and

@@ -31,7 +31,7 @@
 //! - [`AlertRule`], [`BandLimit`], [`IngestSettings`], [`RecordMap`], [`SimulationPlan`]: settings
 //!   for other crates
 //! - [`EarthquakePlan`]: what counts as an earthquake
-//! - [`JudgedStructure`], [`JudgePlan`]: what is judged, also without a model
+//! - [`JudgedStructure`], [`JudgePlan`]: what is judged, with or without a model
 //! - [`ModalPlan`]: how natural frequencies are followed, and which modes have a name
 //! - [`StructureError`], [`Diagnostic`]: all mistakes in a file, each with its line
 //! - [`text_encoding`]: decodes the text of a file, and names an encoding other than UTF-8

@@ -2,7 +2,7 @@
 //!
 //! The input is frames: those of a structure, or the samples of one node as frames. The output is
 //! the extremes of short buckets once per second, and spectra every 10 s, per node. The reduction
-//! runs in a task beside the path of the frames, so that no frame waits for a display.
+//! runs in a separate task, so no frame waits for a display.
 //!
 //! - [`NodeChannels`]: the channels of one node, in frame order
 //! - [`Displays`]: the task of one structure or node, with its topics

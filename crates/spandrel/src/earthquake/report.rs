@@ -160,7 +160,7 @@ pub struct ParameterReport {
     pub judgement: EventJudgement,
     /// This event and all earlier ones, in the order of time.
     pub events: Vec<ComparedEvent>,
-    /// Interval in which the earlier events expect weak motion (ratio to nominal).
+    /// Interval of the stiffness in weak motion that the earlier events predict (ratio to nominal).
     pub expected: Option<Interval>,
     /// How often an event lies in the interval that the others predict, among all so far.
     pub coverage: Coverage,

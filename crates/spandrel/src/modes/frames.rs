@@ -370,7 +370,7 @@ impl<'p> Loaded<'p> {
     }
 }
 
-/// Formats channels without use, each with its reason.
+/// Formats the channels that are not used, each with its reason.
 pub fn listed(left_out: &[(String, &'static str)]) -> String {
     let each = left_out
         .iter()
