@@ -10,8 +10,8 @@
 //! `−cᵀ Z⁻¹ K′ Z⁻¹ p`. Both factors of the sensitivity must be large to matter. The response to a
 //! force at a sensor therefore counts by the strain energy that the excitation causes at the same
 //! frequency. The lowest modes do not suffice: in a tall building, fast modes cancel each other far
-//! from the ground, and without some of them, the sensors would seem to observe stiffness there that
-//! they do not observe.
+//! from the ground, and without some of them, the sensors would seem to observe stiffness there
+//! that they do not observe.
 //!
 //! The shapes are smooth, and a change of stiffness in one storey bends them there. What lies
 //! outside of the shapes is faster than the excitation and follows at once:
