@@ -42,6 +42,8 @@ struct JudgedQuantity {
     /// Number of epochs with a value.
     epochs: u64,
     course: Course,
+    /// Whether a new reference has started after the last day of the course.
+    is_new: bool,
 }
 
 impl Judging {
@@ -59,6 +61,7 @@ impl Judging {
             name,
             epochs: 0,
             course: Course::default(),
+            is_new: false,
         });
         Ok(Self {
             structure,
@@ -162,6 +165,10 @@ impl Judging {
         events: &mut Vec<Event>,
     ) -> Result<bool, JudgeError> {
         let mut judgements = Vec::new();
+        let indices = 0..self.quantities.len();
+        let before: Vec<bool> = indices
+            .map(|index| self.judge.awaits_reference(index))
+            .collect();
         self.judge.handle(&closed.epoch, &mut judgements)?;
         self.epoch_ns = Some(closed.middle_ns);
         self.epochs += 1;
@@ -186,6 +193,11 @@ impl Judging {
                 events.extend(event(structure, configuration, &judgement, told, time_ns));
             }
             quantity.course.push(judgement);
+        }
+        // An epoch first ends the day before it, and then starts the reference.
+        for (index, (quantity, awaited)) in self.quantities.iter_mut().zip(before).enumerate() {
+            let has_started = awaited && !self.judge.awaits_reference(index);
+            quantity.is_new = has_started || (quantity.is_new && !is_day_over);
         }
         Ok(is_day_over)
     }
@@ -233,7 +245,8 @@ impl Judging {
         let display = |(index, quantity): (usize, &JudgedQuantity)| {
             // What was judged before a new reference no longer holds.
             let last = quantity.course.last();
-            let last = last.filter(|_| !self.judge.awaits_reference(index));
+            let is_new = quantity.is_new || self.judge.awaits_reference(index);
+            let last = last.filter(|_| !is_new);
             let judgement = match last {
                 Some(last) => last.clone(),
                 None => self.first(quantity),

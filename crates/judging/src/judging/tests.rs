@@ -216,7 +216,12 @@ fn a_new_reference_clears_the_change_at_once_and_learns_anew() {
     let display = &judging.displays(0)[0];
     assert_eq!((display.change, display.word()), (None, "learning"));
     assert_eq!(judging.displays(0)[1].word(), "no-statement");
-    run(&mut judging, 90..130, 0.95);
+    // The first epoch ends the last day of the former reference.
+    let first = of_day(90, 0, 0.95);
+    assert_eq!(judging.handle(&first, &mut Vec::new()), Ok(true));
+    let display = &judging.displays(0)[0];
+    assert_eq!((display.change, display.word()), (None, "learning"));
+    run(&mut judging, 91..130, 0.95);
     let display = &judging.displays(0)[0];
     assert_eq!((display.change, display.word()), (None, "judged"));
 }
