@@ -3,9 +3,9 @@
 use spandrel_bus::{
     Acknowledgement, AlertMessage, Annotation, Block, CaughtUp, ConditionDisplay, Description,
     EpochDisplay, EstimateBlock, Event, FeedbackMessage, FitDisplay, Format, FrameBlock,
-    HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, LocalMessage, LossDisplay,
-    Maintenance, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay, NodeDisplay,
-    NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ReportPage, SampleBlock,
+    HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay, JudgementLog, LocalMessage,
+    LossDisplay, Maintenance, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay,
+    NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress, ReportPage, SampleBlock,
     SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, WaveformDisplay,
 };
 
@@ -88,6 +88,7 @@ pub const TYPES: &[Decode] = &[
     binary::<SpectrumDisplay>,
     binary::<ReportPage>,
     binary::<EpochDisplay>,
+    binary::<JudgementLog>,
 ];
 
 /// Decodes one input. Returns the reason if the message is rejected.

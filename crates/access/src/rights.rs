@@ -243,7 +243,7 @@ fn of_alert() -> Vec<(Right, KeyFamily)> {
         // An event states that an earthquake begins.
         each(Right::Subscribe, &[K::Event]),
         each(Right::Put, &[K::Epoch, K::Judgement]),
-        each(Right::Answer, &[K::JudgementCourse]),
+        each(Right::Answer, &[K::JudgementCourse, K::JudgementLog]),
         of_service(Service::Judge),
     ]
     .concat()
@@ -319,6 +319,7 @@ fn of_viewer() -> Vec<(Right, KeyFamily)> {
                 K::History,
                 K::HistoryLog,
                 K::JudgementCourse,
+                K::JudgementLog,
                 K::Report,
             ],
         ),
@@ -387,7 +388,8 @@ pub fn is_of_node(right: Right, family: KeyFamily) -> bool {
         | K::Description
         | K::History
         | K::HistoryLog
-        | K::AlertLog => false,
+        | K::AlertLog
+        | K::JudgementLog => false,
     }
 }
 

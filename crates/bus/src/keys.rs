@@ -142,6 +142,8 @@ key_families! {
     HistoryLog = "@history-log",
     /// [`Keys::alert_log`]
     AlertLog = "@alert-log",
+    /// [`Keys::judgement_log`]
+    JudgementLog = "@judgement-log",
 }
 
 impl KeyFamily {

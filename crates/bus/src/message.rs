@@ -18,6 +18,7 @@ mod frames;
 mod header;
 mod history;
 mod judgement;
+mod judgement_log;
 mod local;
 mod loss;
 mod maintenance;
@@ -66,6 +67,7 @@ pub use judgement::{
     BudgetSpent, ChangeKind, ChangeSeen, DayExpectation, JudgementDisplay, JudgementState,
     LastingChange,
 };
+pub use judgement_log::{JudgementLog, LossChange};
 pub use local::{
     LocalDensity, LocalMessage, MotionNumbers, NodeLineage, ScreenedChannel, ToldMotion,
     ToldSamples,

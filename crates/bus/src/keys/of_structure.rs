@@ -308,6 +308,12 @@ impl Keys {
         self.all(KeyFamily::AlertLog)
     }
 
+    /// Returns the key to query the latest changes of lasting losses. The service `judge` replies.
+    #[must_use]
+    pub fn judgement_log(&self) -> String {
+        self.all(KeyFamily::JudgementLog)
+    }
+
     /// Returns the key to acknowledge the alert of one parameter.
     #[must_use]
     pub fn acknowledge(&self, parameter: &Name) -> String {

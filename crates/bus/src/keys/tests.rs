@@ -89,6 +89,7 @@ fn keys_are_those_of_the_design_table() {
         (keys.history(&n), "spandrel/tower/history/storey-1"),
         (keys.history_log(), "spandrel/tower/@history-log"),
         (keys.alert_log(), "spandrel/tower/@alert-log"),
+        (keys.judgement_log(), "spandrel/tower/@judgement-log"),
         (keys.leader(&n), "spandrel/tower/leader/identify/storey-1"),
         (keys.state(), "spandrel/tower/@state"),
         (keys.maintenance(), "spandrel/tower/maintenance"),

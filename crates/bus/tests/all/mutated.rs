@@ -9,11 +9,11 @@ use spandrel_bus::{
     Acknowledgement, AlertMessage, Annotation, CaughtUp, ChannelState, ConditionDisplay,
     Description, EpochDisplay, Estimate, EstimateBlock, EstimateFlags, Event, FeedbackMessage,
     FitDisplay, FrameBlock, Header, HistoryLog, HistorySpan, JudgementCourse, JudgementDisplay,
-    LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance, MaskedSpan, Message,
-    ModeDisplay, ModelClassDisplay, MonitoringDisplay, MotionNumbers, NodeDisplay, NodeLineage,
-    NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress, ReportPage, SampleBlock,
-    ScreenedChannel, SensorHealthDisplay, SpectrumDisplay, StateMessage, Status, StreamState,
-    ToldMotion, ToldSamples, WaveformDisplay,
+    JudgementLog, LocalDensity, LocalMessage, LossDisplay, MAX_MESSAGE_BYTES, Maintenance,
+    MaskedSpan, Message, ModeDisplay, ModelClassDisplay, MonitoringDisplay, MotionNumbers,
+    NodeDisplay, NodeLineage, NoiseDisplay, OutlierDisplay, Pace, ParameterDisplay, Progress,
+    ReportPage, SampleBlock, ScreenedChannel, SensorHealthDisplay, SpectrumDisplay, StateMessage,
+    Status, StreamState, ToldMotion, ToldSamples, WaveformDisplay,
 };
 
 use std::path::Path;
@@ -301,6 +301,13 @@ fn encoded() -> Vec<(&'static str, Vec<u8>)> {
              \"ln_mean\":-0.05,\"ln_std\":0.002,\"amplitude\":-2.5,\"conditions\":[\
              {\"name\":\"deck\",\"unit\":\"degC\",\"value\":14.74},{\"name\":\"rms\",\"unit\":\"log10\",\"value\":-2.5}],\
              \"measured\":true}",
+        ),
+        text::<JudgementLog>(
+            "{\"structure\":\"demo\",\"changes\":[{\"quantity\":\"storey-2\",\"state\":\"acknowledged\",\"time_ns\":9,\
+             \"change\":{\"kind\":\"lasting-loss\",\"found_ns\":5,\"since_ns\":0,\"loss\":0.05,\
+             \"interval\":{\"level\":0.95,\"low\":0.04,\"high\":0.06}},\
+             \"seen\":{\"who\":\"ada\",\"text\":\"crack\",\"time_ns\":9},\
+             \"sentence\":\"storey-2 has lost 5 % of stiffness.\"}]}",
         ),
     ]
 }

@@ -1,0 +1,173 @@
+//! The past of the lasting losses of one structure.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    AlertState, ChangeSeen, Format, JudgementDisplay, LastingChange, Malformed, Message,
+    check_count, check_label, check_text,
+};
+use crate::name::Name;
+
+/// A change of the lasting loss of a quantity as an alert.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LossChange {
+    /// The quantity.
+    pub quantity: Name,
+    /// State after the change: raised, acknowledged, or cleared by a new reference.
+    pub state: AlertState,
+    /// Time of the change, ns since the Unix epoch, UTC: the start of the day on which the loss was
+    /// found, or the wall-clock time of its acknowledgement or end.
+    pub time_ns: i64,
+    /// The loss. If it is over, the loss before.
+    pub change: LastingChange,
+    /// The person who has seen the loss. `None` if nobody has.
+    pub seen: Option<ChangeSeen>,
+    /// The judgement after the change in one sentence.
+    pub sentence: String,
+}
+
+impl LossChange {
+    /// Maximum number of changes of a structure that are kept.
+    pub const MOST: usize = 256;
+
+    /// Appends the change that a judgement reveals to those known before, oldest first. If there
+    /// are more than [`Self::MOST`], drops the oldest. Returns `false` if nothing has changed.
+    pub fn note(known: &mut Vec<Self>, now: &JudgementDisplay) -> bool {
+        let mut former = known.iter().rev();
+        let last = former.find(|former| former.quantity == now.quantity);
+        let Some(next) = Self::next(last, now) else {
+            return false;
+        };
+        known.push(next);
+        let surplus = known.len().saturating_sub(Self::MOST);
+        known.drain(..surplus);
+        true
+    }
+
+    /// Returns the change from the last one of the quantity. `None` if nothing has changed.
+    fn next(last: Option<&Self>, now: &JudgementDisplay) -> Option<Self> {
+        let open = last.filter(|last| last.state != AlertState::Cleared);
+        let Some((state, change)) = now.alert_state().zip(now.change) else {
+            return open.map(|open| Self {
+                state: AlertState::Cleared,
+                time_ns: now.time_ns,
+                sentence: now.sentence.clone(),
+                ..open.clone()
+            });
+        };
+        // A loss that has doubled is found again.
+        let is_same = |open: &Self| (open.state, open.change.found_ns) == (state, change.found_ns);
+        if open.is_some_and(is_same) {
+            return None;
+        }
+        let seen = now.seen.clone();
+        Some(Self {
+            quantity: now.quantity.clone(),
+            state,
+            time_ns: seen.as_ref().map_or(change.found_ns, |seen| seen.time_ns),
+            change,
+            seen,
+            sentence: now.sentence.clone(),
+        })
+    }
+
+    fn check(&self) -> Result<(), Malformed> {
+        self.change.check()?;
+        if let Some(seen) = &self.seen {
+            check_label("who", &seen.who)?;
+            check_text("text", &seen.text)?;
+        }
+        check_text("sentence", &self.sentence)
+    }
+}
+
+/// The last changes of the lasting losses of a structure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JudgementLog {
+    /// Name of the structure.
+    pub structure: Name,
+    /// The changes, oldest first; at most [`LossChange::MOST`].
+    pub changes: Vec<LossChange>,
+}
+
+impl Message for JudgementLog {
+    const TYPE: &'static str = "judgement-log";
+    const VERSION: u16 = 1;
+    const FORMAT: Format = Format::Json;
+
+    fn check(&self) -> Result<(), Malformed> {
+        check_count("changes", self.changes.len(), 0, LossChange::MOST)?;
+        self.changes.iter().try_for_each(LossChange::check)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn display(text: &str) -> JudgementDisplay {
+        let common = "\"structure\":\"bridge\",\"quantity\":\"deck\",\"time_ns\":9,\"day_ns\":0,\
+                      \"epoch_ns\":8,\"epochs\":96,\"measured\":true,\"state\":\"judged\",\
+                      \"sentence\":\"as judged\",\"expectation\":null,\
+                      \"false_alarms_per_year\":0.1";
+        serde_json::from_str(&format!("{{{common},{text}}}")).unwrap()
+    }
+
+    fn found(kind: &str, found_ns: i64, seen: &str) -> JudgementDisplay {
+        display(&format!(
+            "\"change\":{{\"kind\":\"{kind}\",\"found_ns\":{found_ns},\"since_ns\":0,\
+             \"loss\":0.05,\"interval\":{{\"level\":0.95,\"low\":0.04,\"high\":0.06}}}},\
+             \"seen\":{seen}"
+        ))
+    }
+
+    #[test]
+    fn a_loss_is_raised_seen_found_again_and_over_once_each() {
+        let seen = "{\"who\":\"ada\",\"text\":\"crack\",\"time_ns\":6}";
+        let over = display("\"change\":null");
+        let all = [
+            over.clone(),
+            found("stiffer", 1, "null"),
+            found("lasting-loss", 5, "null"),
+            found("lasting-loss", 5, "null"),
+            found("lasting-loss", 5, seen),
+            found("lasting-loss", 5, seen),
+            found("learned-away", 7, "null"),
+            over.clone(),
+            over,
+        ];
+        let mut changes = Vec::new();
+        let noted = all.map(|display| LossChange::note(&mut changes, &display));
+        assert_eq!(noted.iter().filter(|noted| **noted).count(), 4);
+        let told: Vec<(AlertState, i64, i64)> = changes
+            .iter()
+            .map(|change| (change.state, change.time_ns, change.change.found_ns))
+            .collect();
+        let expected = [
+            (AlertState::Raised, 5, 5),
+            (AlertState::Acknowledged, 6, 5),
+            (AlertState::Raised, 7, 7),
+            (AlertState::Cleared, 9, 7),
+        ];
+        assert_eq!(told, expected);
+        assert_eq!(changes[1].seen.as_ref().unwrap().who, "ada");
+        let log = JudgementLog {
+            structure: Name::new("bridge").unwrap(),
+            changes,
+        };
+        let bytes = log.encode().unwrap();
+        let decoded = JudgementLog::decode("application/json", &bytes).unwrap();
+        assert_eq!(decoded, log);
+    }
+
+    #[test]
+    fn the_oldest_changes_are_dropped() {
+        let mut changes = Vec::new();
+        for found_ns in 0..300 {
+            let display = found("lasting-loss", found_ns, "null");
+            assert!(LossChange::note(&mut changes, &display));
+        }
+        assert_eq!(changes.len(), LossChange::MOST);
+        assert_eq!(changes[0].time_ns, 44);
+    }
+}
