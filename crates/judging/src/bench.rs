@@ -6,8 +6,9 @@ use crate::epoch_log::EpochLog;
 use crate::epochs::ClosedEpoch;
 use crate::error::JudgingError;
 use crate::judging::{Judging, differences, new_reference};
+use crate::loss_log::LossLog;
 use crate::past::judge_past;
-use spandrel_bus::{Annotation, Event, JudgementDisplay};
+use spandrel_bus::{Annotation, Event, JudgementDisplay, JudgementLog};
 use spandrel_service::Clock;
 use spandrel_structure::JudgePlan;
 use std::collections::BTreeMap;
@@ -24,6 +25,7 @@ pub(crate) struct Bench {
     log: Option<EpochLog>,
     annotations: AnnotationLog,
     configurations: Option<ConfigurationLog>,
+    losses: LossLog,
     clock: Clock,
     /// Where epochs and annotations are kept.
     saved: Option<Saved>,
@@ -62,12 +64,15 @@ impl Bench {
             ),
             None => (AnnotationLog::default(), None),
         };
+        let folder = saved.as_ref().map(|saved| saved.folder.as_path());
+        let losses = LossLog::open(blank.structure(), folder);
         let mut bench = Self {
             judging: blank.clone(),
             blank,
             log: None,
             annotations,
             configurations,
+            losses,
             clock,
             saved,
             told: Vec::new(),
@@ -79,6 +84,7 @@ impl Bench {
             let displays = bench.judging.displays(now_ns);
             bench.told.extend(differences(&former, &displays, now_ns));
         }
+        bench.note_losses();
         Ok(bench)
     }
 
@@ -94,6 +100,17 @@ impl Bench {
         let structure = self.judging.structure();
         let past = judge_past(&saved.folder, structure, i64::MAX, Some(last));
         past.ok().map(|past| past.displays)
+    }
+
+    /// Keeps the changes of lasting losses that the present states reveal.
+    fn note_losses(&mut self) {
+        let displays = self.judging.displays(self.clock.now_ns());
+        self.losses.note(&displays);
+    }
+
+    /// Returns the last changes of the lasting losses.
+    pub(crate) fn losses(&self) -> &JudgementLog {
+        self.losses.log()
     }
 
     /// Returns the events about the saved epochs that are not published yet.
@@ -163,6 +180,7 @@ impl Bench {
                 self.begin_configuration();
             }
         }
+        self.note_losses();
         Ok(())
     }
 
@@ -174,6 +192,7 @@ impl Bench {
             self.log.iter_mut().for_each(EpochLog::flush);
             let configurations = self.configurations.iter_mut();
             configurations.for_each(ConfigurationLog::flush);
+            self.losses.flush();
         }
         for closed in closed {
             if let Some(log) = &mut self.log {
@@ -182,6 +201,9 @@ impl Bench {
             match self.judging.handle(closed, &mut outcome.events) {
                 Ok(is_day_over) => {
                     outcome.is_day_over |= is_day_over;
+                    if is_day_over {
+                        self.note_losses();
+                    }
                     outcome.taken.push(closed.clone());
                 }
                 Err(error) => {
@@ -200,7 +222,8 @@ impl Bench {
     pub(crate) fn drops(&self) -> BTreeMap<String, u64> {
         let mut drops: BTreeMap<_, _> = self.log.iter().flat_map(EpochLog::drops).collect();
         let configurations = self.configurations.iter();
-        for (name, count) in configurations.filter_map(ConfigurationLog::drops) {
+        let others = configurations.filter_map(ConfigurationLog::drops);
+        for (name, count) in others.chain(self.losses.drops()) {
             *drops.entry(name).or_default() += count;
         }
         drops

@@ -9,13 +9,14 @@
 //!
 //! Users can send annotations. An annotation with a new reference discards the former reference.
 //! Annotations are stored in the same folder as the epochs, and so is each configuration with which
-//! the structure was judged. From these files, [`judge_past`] repeats a past judgement.
+//! the structure was judged. From these files, [`judge_past`] repeats a past judgement. A further
+//! file contains the changes of lasting losses as they were stated.
 //!
 //! - `epochs`: estimates and conditions in, closed epochs out, without clock or network
 //! - `ahead`: limits the reports about values ahead of the clock
 //! - [`course_row`]: a judgement as a row of the history of the quantity
 //! - `judging`: closed epochs in, judgements and events out
-//! - `epoch_log`, `annotations`, `configurations`: the files
+//! - `epoch_log`, `annotations`, `configurations`, `loss_log`: the files
 //! - `bench`: keeps what arrives, then judges it
 //! - [`new_reference`], [`read_annotations`]: the same for a series offline
 //! - [`JudgeService`], [`JudgePlanned`]: the service
@@ -30,6 +31,7 @@ mod judging;
 mod annotations;
 mod configurations;
 mod epoch_log;
+mod loss_log;
 
 mod error;
 

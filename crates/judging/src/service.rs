@@ -60,7 +60,8 @@ pub struct JudgePlanned {
 /// of each judged quantity.
 ///
 /// At its start, the service judges the saved epochs again. It also answers queries for the history
-/// of a quantity, and takes annotations. An epoch that is not over at a stop is lost.
+/// of a quantity and for the past of the lasting losses, and takes annotations. An epoch that is
+/// not over at a stop is lost.
 #[derive(Debug)]
 pub struct JudgeService {
     keys: Keys,
@@ -80,6 +81,8 @@ pub struct JudgeService {
     epoch_topics: BTreeMap<Name, DisplayPublisher<EpochDisplay>>,
     /// Queries for the histories of the quantities.
     questions: Questions,
+    /// Queries for the past of the lasting losses.
+    log_questions: Questions,
     annotations: Subscription<Annotation>,
     events: EventPublisher,
     status: StatusPublisher,
@@ -168,6 +171,9 @@ impl JudgeService {
                 questions: bus
                     .questions(keys.all_judgement_courses(), QUESTIONS_WAITING)
                     .await?,
+                log_questions: bus
+                    .questions(keys.judgement_log(), QUESTIONS_WAITING)
+                    .await?,
                 annotations: bus
                     .subscribe(keys.annotation(), ANNOTATIONS_WAITING)
                     .await?,
@@ -205,6 +211,7 @@ impl JudgeService {
                     _ = repeat.tick() => self.put_states().await?,
                     _ = gather.tick() => self.gather().await?,
                     Some(question) = self.questions.next() => self.answer(&question).await,
+                    Some(question) = self.log_questions.next() => self.answer_log(&question).await,
                 }
             }
             self.gather().await?;
@@ -241,6 +248,17 @@ impl JudgeService {
         };
         let key = self.keys.judgement_course(&quantity);
         if let Err(error) = question.answer(&key, &course).await {
+            question.refuse(&error.to_string()).await;
+        }
+    }
+
+    /// Answers a query for the past of the lasting losses.
+    async fn answer_log(&self, question: &Question) {
+        let Some(bench) = &self.bench else {
+            return; // an earlier call has ended the service
+        };
+        let key = self.keys.judgement_log();
+        if let Err(error) = question.answer(&key, bench.losses()).await {
             question.refuse(&error.to_string()).await;
         }
     }
