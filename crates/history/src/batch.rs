@@ -262,6 +262,7 @@ impl Collector {
             | Input::Ingested(..)
             | Input::Present(_)
             | Input::Past(_)
+            | Input::LastingLosses(_)
             | Input::Misplaced => {}
         }
     }

@@ -2,7 +2,7 @@
 
 use spandrel_bus::{
     Acknowledgement, AlertMessage, ConditionDisplay, EstimateBlock, Event, FitDisplay, HistoryLog,
-    JudgementDisplay, KeyFamily as K, LossDisplay, ModeDisplay, ModelClassDisplay,
+    JudgementDisplay, JudgementLog, KeyFamily as K, LossDisplay, ModeDisplay, ModelClassDisplay,
     MonitoringDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay, ParameterDisplay, Progress,
     SensorHealthDisplay, Service, SpectrumDisplay, Status, Topic, WaveformDisplay, parse_key,
 };
@@ -64,6 +64,8 @@ pub enum Input {
     Present(BTreeSet<Instance>),
     /// Past changes and events from the history service.
     Past(HistoryLog),
+    /// Past changes of lasting losses from the service `judge`.
+    LastingLosses(JudgementLog),
     /// A message whose content contradicts its key.
     Misplaced,
 }
@@ -130,6 +132,7 @@ impl Input {
                 (&m.structure, Topic::new(K::Condition, &m.name))
             }
             Self::Judgement(m) => (&m.structure, Topic::new(K::Judgement, &m.quantity)),
+            Self::LastingLosses(m) => (&m.structure, Topic::single(K::JudgementLog)),
             Self::Mode(m) => (&m.structure, Topic::new(K::Mode, &m.mode)),
             Self::Classes(m) => (&m.structure, Topic::single(K::ModelClass)),
             Self::Node(m) => (&m.structure, Topic::new(K::Node, &m.node)),

@@ -2,8 +2,8 @@
 
 use crate::input::{Input, Instance};
 use spandrel_bus::{
-    AlertMessage, BoxedFuture, Bus, BusError, ConditionDisplay, HistoryLog, KeyFamily as K,
-    LiveWatch, Message, Name, Service, SpanQuery, Subscription,
+    AlertMessage, BoxedFuture, Bus, BusError, ConditionDisplay, HistoryLog, JudgementLog,
+    KeyFamily as K, LiveWatch, Message, Name, Service, SpanQuery, Subscription,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -22,7 +22,7 @@ const BLOCKS_WAITING: usize = 256;
 const ALERTS_WAITING: usize = 8_192;
 /// Number of past alerts, acknowledgements and events to query from the history.
 const PAST: usize = 1_000;
-/// Time limit for a reply of the alert service or the history service.
+/// Time limit for a reply of a service.
 const ANSWER_WITHIN: Duration = Duration::from_secs(2);
 /// Interval between queries for the current alerts.
 ///
@@ -82,8 +82,8 @@ pub struct Needs {
     pub topics: &'static [DisplayTopic],
     /// Services whose liveliness tokens are watched. They must include the alert service.
     pub services: &'static [Service],
-    /// Services whose logs are queried when they appear: the alert service, the history service, or
-    /// both.
+    /// Services whose logs are queried when they appear: of the alert service, the history service
+    /// and the service `judge`.
     pub logs: &'static [Service],
 }
 
@@ -189,6 +189,9 @@ impl Listener {
         }
         if is_new(Service::History) && is_logged(Service::History) {
             self.asked.spawn(self.at.clone().past());
+        }
+        if is_new(Service::Judge) && is_logged(Service::Judge) {
+            self.asked.spawn(self.at.clone().lasting_losses());
         }
         // A slow quantity has its next value perhaps in an hour.
         if is_new(Service::Feed) && self.needs.topics.contains(&DisplayTopic::Conditions) {
@@ -377,6 +380,16 @@ impl StructureScope {
         let key = format!("{}?{query}", self.key(K::HistoryLog));
         let logs = self.logs(&key).await?;
         Ok(logs.into_iter().map(Input::Past).collect())
+    }
+
+    /// Queries past changes of lasting losses from a service `judge` that is present.
+    async fn lasting_losses(self) -> Result<Vec<Input>, BusError> {
+        let key = self.key(K::JudgementLog);
+        let logs = self.bus.ask_present(&key, ANSWER_WITHIN).await?;
+        let placed = |(key, log): (String, JudgementLog)| {
+            Input::placed(&self.root, &key, |_| Input::LastingLosses(log))
+        };
+        Ok(logs.into_iter().map(placed).collect())
     }
 
     /// Returns the replies of a service that is present, without those for other structures.

@@ -225,7 +225,8 @@ impl StructureState {
             | Input::LoggedAlert(_)
             | Input::Acknowledgement(_)
             | Input::Event(_)
-            | Input::Past(_) => {}
+            | Input::Past(_)
+            | Input::LastingLosses(_) => {}
         }
     }
 
