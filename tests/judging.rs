@@ -3,9 +3,9 @@
 use crate::support::{DEADLINE, Finished, HOUSE, Process, Site, within};
 use serde_json::Value;
 use spandrel_bus::{
-    Bus, ConditionDisplay, DisplayPublisher, EpochDisplay, Event, EventKind, JudgementCourse,
-    JudgementDisplay, JudgementState, LiveToken, MonitoringDisplay, MonitoringState, Name, Pace,
-    ParameterDisplay, Service, Status, Subscription,
+    AlertState, Bus, ConditionDisplay, DisplayPublisher, EpochDisplay, Event, EventKind,
+    JudgementCourse, JudgementDisplay, JudgementLog, JudgementState, LiveToken, MonitoringDisplay,
+    MonitoringState, Name, Pace, ParameterDisplay, Service, Status, Subscription,
 };
 use spandrel_validate::{SeasonRow, StiffnessLoss, seasons};
 use std::collections::BTreeMap;
@@ -184,6 +184,16 @@ impl Others {
         let [(of, course)] = <[(String, JudgementCourse); 1]>::try_from(answers.unwrap()).unwrap();
         assert_eq!(of, key);
         course
+    }
+
+    /// Returns the past states of the lasting loss of the storey, as the service answers.
+    async fn loss_states(&self) -> Vec<AlertState> {
+        let key = self.site.keys().judgement_log();
+        let answers = self.bus.ask(&key, DEADLINE).await;
+        let [(_, log)] = <[(String, JudgementLog); 1]>::try_from(answers.unwrap()).unwrap();
+        let of_it = log.changes.iter();
+        let of_it = of_it.filter(|change| change.quantity.as_str() == "storey-1");
+        of_it.map(|change| change.state).collect()
     }
 
     /// Runs `spandrel annotate`, and returns what it prints.
@@ -578,6 +588,12 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     judge.kill();
     let judge = others.judge().await;
     assert_eq!(others.course("").await, course);
+    let states = [
+        AlertState::Raised,
+        AlertState::Acknowledged,
+        AlertState::Cleared,
+    ];
+    assert_eq!(others.loss_states().await, states);
     others.publish(&rows, 70..100, |deck| deck).await;
     let course = others.course("").await;
     assert_eq!(course.csv(), others.offline_course());
