@@ -151,6 +151,11 @@ async fn the_loss_is_listed_among_the_alerts(browser: &mut Browser) {
          && {card}.querySelector('a.button').hash === {year}"
     );
     browser.wait("the loss among the alerts", &listed).await;
+    let past = "document.querySelector('.alerts.past .alert[data-state=raised]')";
+    let changed = format!("/storey-1 [(]lasting loss[)]/.test({past}?.textContent)");
+    browser
+        .wait("the loss among the past changes", &changed)
+        .await;
     let back = format!("location.hash = {year}");
     browser.evaluate(&back).await;
     let shown = format!("/storey-1 has lost [0-9.]+ % of stiffness/.test({PANEL})");

@@ -90,7 +90,7 @@ export class AlertsPage {
     setText(this.left, t("older-changes-not-shown", all.length - changes.length));
     const isFiltered = Boolean(this.structure.value || this.state.value || this.text.value);
     const hasAlert = this.standing.show(standing, keyOfAlert, isFiltered);
-    const hasChange = this.changes.show(changes, (alert) => `${alert.structure}/${alert.parameter}/${alert.changed_ns}/${alert.state}`, isFiltered);
+    const hasChange = this.changes.show(changes, (alert) => `${keyOfAlert(alert)}/${alert.changed_ns}/${alert.state}`, isFiltered);
     this.none.hidden = hasAlert;
     setText(this.none, isFiltered ? t("no-alert-matches-the-filter") : standing.length > 0 ? t("no-alert") : t("no-rule-has-reached-a-decision-yet"));
     this.noChanges.hidden = hasChange;
@@ -122,7 +122,7 @@ class AlertList {
     const [urgent, routine] = [alerts.filter(isUrgent), alerts.filter((alert) => !isUrgent(alert))];
     // Current alerts have one card per part. Past changes of a part are folded behind the newest.
     if (this.canAcknowledge) keyed(this.urgent, urgent, key, () => this.#make(), updateAlert);
-    else keyed(this.urgent, grouped(urgent, ({ structure, parameter }) => `${structure}/${parameter}`), ([{ structure, parameter }]) => `${structure}/${parameter}`, () => this.#makeGroup(), (group, changes) => this.#updateGroup(group, changes, key));
+    else keyed(this.urgent, grouped(urgent, keyOfAlert), ([newest]) => keyOfAlert(newest), () => this.#makeGroup(), (group, changes) => this.#updateGroup(group, changes, key));
     keyed(this.routine, routine, key, () => this.#make(), updateAlert);
     this.folded.hidden = routine.length === 0;
     setText(this.title, this.canAcknowledge ? t("parts-without-an-alert", routine.length) : t("changes-between-normal-learning-and-undecided", routine.length));

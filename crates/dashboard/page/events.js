@@ -6,7 +6,7 @@ import { NO_REPLY, fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } fro
 import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
 import { DAY_S, Span } from "./span.js";
-import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, natural, place, revisedWords, seenWords, setSentence, time, waveformsOf } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, isLasting, judged, keyOfAlert, natural, place, revisedWords, seenWords, setSentence, stateWords, time, waveformsOf } from "./words.js";
 import { longestRange } from "./waveforms.js";
 
 /** Kinds of events that the list can be limited to. */
@@ -132,15 +132,16 @@ export class EventsTab {
     const returned = new Set();
     const last = new Map();
     for (const change of changes.toReversed()) {
-      if (![undefined, "learning"].includes(last.get(change.parameter))) returned.add(change);
-      last.set(change.parameter, change.state);
+      if (![undefined, "learning"].includes(last.get(keyOfAlert(change)))) returned.add(change);
+      last.set(keyOfAlert(change), change.state);
     }
     const ofAlert = ([change, ...others]) => {
-      const { sign, word, level } = STATES[change.state];
+      const { sign, level } = STATES[change.state];
+      const word = stateWords(change);
       const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
       const what = change.state !== "normal" ? t("alert-became", sign, word) : returned.has(change) ? t("back-to-normal", sign) : `${sign} ${word}`;
       const more = [seenWords(change), revisedWords(change)].filter(Boolean).join(". ");
-      return { key: `${about}/${change.state}`, time_ns: 1e9 * changedAt(change), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isAlert: true, isUrgent: LISTED.includes(change.state) };
+      return { key: `${change.kind}/${about}/${change.state}`, time_ns: 1e9 * changedAt(change), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isLasting: isLasting(change), isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => {
       const isReport = kind === "earthquake-report";
@@ -148,7 +149,7 @@ export class EventsTab {
       return { key: `${subject}/${what}`, time_ns, what, ...eventWords({ kind, subject, why }), level, parameter: null, report: isReport ? subject : null };
     };
     // A sensor that fails makes many parts undecided at once, for the same reason.
-    const reason = ({ parameter, state, changed_ns: at, why }) => (state === "undecided" ? `${Math.floor(at / 1e9)} ${why.replaceAll(parameter, "")}` : `${at} ${parameter} ${state}`);
+    const reason = ({ kind, parameter, state, changed_ns: at, why }) => (state === "undecided" ? `${Math.floor(at / 1e9)} ${why.replaceAll(parameter, "")}` : `${at} ${kind} ${parameter} ${state}`);
     const together = grouped(changes, reason);
     const all = [...together.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => b.time_ns - a.time_ns);
     const found = all.filter((event) => isOfKind(event, this.shown.value));
@@ -192,7 +193,7 @@ export class EventsTab {
     this.page.changed();
   }
 
-  #make({ time_ns, measured_ns: measured, about, what, level, parameter, report: made }) {
+  #make({ time_ns, measured_ns: measured, about, what, level, parameter, isLasting: isOfYear, report: made }) {
     // The plots and the samples have the measurement time, also of an acknowledgement.
     const at = (measured ?? time_ns) / 1e9;
     const [why, more] = [h("p", { class: "why", lang: SERVICES }), h("p", { class: "why" })];
@@ -203,8 +204,8 @@ export class EventsTab {
     const half_s = sensors.length > 0 ? Math.min(AROUND_S, 0.499 * longestRange(structure)) : AROUND_S;
     const around = () => [at - half_s, at + half_s];
     const waveforms = sensors.length > 0 ? waveformsOf(of, ...around(), sensors.some(({ channel }) => channel === about) ? about : null) : null;
-    // An alert is about a parameter, other events are about the motion.
-    const target = parameter || !waveforms ? place(of, parameter ?? structure.parameters[0]?.name, at) : waveforms;
+    // An alert is about a parameter or a year, other events are about the motion.
+    const target = isOfYear ? judged(of, parameter) : parameter || !waveforms ? place(of, parameter ?? structure.parameters[0]?.name, at) : waveforms;
     const show = h("a", { class: "button small", href: target, "aria-label": t("show-at", about, time(at)) }, t("show"));
     const motion = parameter && waveforms ? h("a", { class: "to-waveforms", href: waveforms, "aria-label": t("waveforms-at", about, time(at)) }, t("waveforms")) : null;
     // The samples of sensors with their own filters stay at their nodes.

@@ -22,8 +22,8 @@ export async function fetchLog(structure, { from_s, to_s } = {}) {
   return { ...log, isRead: log.history === "read" };
 }
 
-export function keyOfChange({ parameter, state, changed_ns: at }) {
-  return `${parameter}/${state}/${at}`;
+export function keyOfChange({ kind, parameter, state, changed_ns: at }) {
+  return `${kind}/${parameter}/${state}/${at}`;
 }
 
 export function keyOfEvent({ time_ns, kind, subject, what }) {

@@ -2,7 +2,7 @@
 
 import { t } from "./language.js";
 import { COLOURS, Plot, css, look, padded } from "./plot.js";
-import { AXES, STATES, distanceWords, isOpen, judgedEstimate, number, openWords, percent, probability, ratio, unit } from "./words.js";
+import { AXES, STATES, distanceWords, isLasting, isOpen, judgedEstimate, number, openWords, percent, probability, ratio, unit } from "./words.js";
 
 /** Half-widths of the 50, 95 and 99.7 % intervals of a Gaussian, in standard deviations. */
 const HALF_WIDTHS = [
@@ -40,7 +40,7 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
   /** The loss under the alert rule. Undefined without a rule, and while the reference is learnt. */
   const known = () => standing()?.losses[parameter.name];
   const threshold = () => known() && (1 - known().rule_loss) * known().reference;
-  const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name);
+  const changes = () => (standing()?.changes ?? []).filter((change) => change.parameter === parameter.name && !isLasting(change));
   const marks = () => {
     const loss = known();
     const bound = loss && parameter.stiffness ? [{ y: threshold(), text: t("threshold-lost", percent(loss.rule_loss, 0)), colour: "--alarm", isBelow: true }] : [];

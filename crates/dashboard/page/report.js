@@ -8,7 +8,7 @@ import { t } from "./language.js";
 import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
 import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, time, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -201,8 +201,8 @@ function endOf({ overview: { time_s: newest, replayed }, standing, changes }) {
 function eventsOf({ events }, changes) {
   const ofAlert = (change) => {
     const { parameter, state, changed_ns: measured, why } = change;
-    const { sign, word, level } = STATES[state];
-    return { time_s: changedAt(change), measured_s: measured / 1e9, about: parameter, what: `${sign} ${word}`, why: [why, seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
+    const { sign, level } = STATES[state];
+    return { time_s: changedAt(change), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why, seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
   };
   const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, measured_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
@@ -281,7 +281,7 @@ function stateAtEnd({ name }, ruled, overview, standing, changes, { to_s }) {
     return { level, words: `${sign} ${word}`, isOpen: isUndecided(alert) };
   }
   // The changes are sorted, the newest first.
-  const last = changes.find(({ parameter, changed_ns: at }) => parameter === name && at / 1e9 <= to_s);
+  const last = changes.find((change) => change.parameter === name && !isLasting(change) && change.changed_ns / 1e9 <= to_s);
   return last && !isPresent ? { level: STATES[last.state].level, words: `${STATES[last.state].sign} ${STATES[last.state].word}`, isOpen: isUndecided(last) } : { level: "learning", words: t("no-decision-known") };
 }
 
@@ -314,7 +314,7 @@ function parameterCharts({ parameters }, standing, changes, series, shown) {
   const ranges = drawn.filter(({ parameter, own }) => parameter.stiffness && own).map(({ own }) => own);
   const shared = ranges.length > 0 ? [Math.min(...ranges.map(([low]) => low)), Math.max(...ranges.map(([, high]) => high))] : null;
   const figures = drawn.map(({ parameter, columns, bound, own }, index) => {
-    const marks = changes.filter(({ parameter: of, state }) => of === parameter.name && LISTED.includes(state)).map(({ state, changed_ns: at }) => ({ x: at / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
+    const marks = changes.filter((change) => change.parameter === parameter.name && !isLasting(change) && LISTED.includes(change.state)).map(({ state, changed_ns: at }) => ({ x: at / 1e9, text: `${STATES[state].sign} ${STATES[state].word}`, colour: `--${STATES[state].level}` }));
     return figure(parameter.name, lastOf(columns), own && { columns, ...shown, range: parameter.stiffness ? shared : own, marks, bound, label: t("over-the-period", parameter.name) }, isAlone(index, drawn));
   });
   return h("div", {}, h("p", { class: "group-text" }, t("report-ratio-to-the-design")), h("div", { class: "charts" }, figures));

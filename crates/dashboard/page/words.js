@@ -199,6 +199,11 @@ export function keyOfAlert({ kind, structure, parameter }) {
   return `${kind}/${structure}/${parameter}`;
 }
 
+/** Returns the state of an alert in words, and its kind if it is a lasting loss. */
+export function stateWords(alert) {
+  return `${STATES[alert.state].word}${isLasting(alert) ? ` (${wordOf(alert.kind)})` : ""}`;
+}
+
 /** Returns whether an alert can be acknowledged. */
 export function canBeSeen(alert) {
   return ["raised", "cleared"].includes(alert.state) || (alert.state === "unconfirmed" && !alert.acknowledged_by);

@@ -7,7 +7,7 @@ use crate::gate::{SessionEnd, Visitor};
 use crate::health::{self, LIVE_PATH, READY_PATH};
 use crate::history::{self, Asked, Format, Refused, Span, Unkept};
 use crate::judgements;
-use crate::lasting_alert::{LastingAlert, check_loss_acknowledgeable, lasting_alerts};
+use crate::lasting_alert::{check_loss_acknowledgeable, lasting_alerts};
 use crate::live;
 use crate::log::{self, FromHistory, WantedLog};
 use crate::metrics::{self, metrics};
@@ -483,27 +483,14 @@ async fn alerts(
         {
             continue;
         }
-        let fits = |alert: &crate::view::AlertView<'_>| {
-            filter
-                .state
-                .is_none_or(|state| alert.message.state == state)
-        };
-        standing.extend(
-            standing_alerts(&store)
-                .filter(fits)
-                .map(|alert| json!(alert)),
-        );
-        let loss_fits = |loss: &LastingAlert<'_>| {
-            let state = filter.state;
-            state.is_none_or(|state| loss.state == state)
-        };
-        let losses = lasting_alerts(&store).filter(loss_fits);
+        let fits = |state: AlertState| filter.state.is_none_or(|wanted| wanted == state);
+        let alerts = standing_alerts(&store).filter(|alert| fits(alert.message.state));
+        standing.extend(alerts.map(|alert| json!(alert)));
+        let losses = lasting_alerts(&store).filter(|loss| fits(loss.state));
         standing.extend(losses.map(|loss| json!(loss)));
-        changed.extend(
-            changes(&store)
-                .filter(fits)
-                .map(|alert| (alert.changed_ns, json!(alert))),
-        );
+        let all = changes(&store, usize::MAX).into_iter();
+        let all = all.filter(|change| fits(change.state()));
+        changed.extend(all.map(|change| (change.changed_ns(), json!(change))));
     }
     changed.sort_by_key(|(time_ns, _)| std::cmp::Reverse(*time_ns));
     let changed: Vec<_> = changed.into_iter().map(|(_, alert)| alert).collect();

@@ -7,23 +7,25 @@ use crate::view::{AlertKind, NoticeView, is_about_lasting_change, judgements, no
 use axum::http::StatusCode;
 use serde::Serialize;
 use spandrel_bus::{
-    AlertState, CredibleInterval, Event, EventKind, JudgementDisplay, Name, Service,
+    AlertState, CredibleInterval, Event, EventKind, JudgementDisplay, LossChange, Name, Service,
 };
 
 /// A lasting loss, with those fields of an alert that it has.
 #[derive(Debug, Serialize)]
 pub(crate) struct LastingAlert<'s> {
     kind: AlertKind,
-    structure: &'s Name,
+    structure: &'s str,
     /// The judged quantity. A stiffness has the name of its parameter.
     parameter: &'s Name,
     pub(crate) state: AlertState,
-    /// Start of the last judged day, ns since the Unix epoch, UTC.
+    /// Start of the last judged day, ns since the Unix epoch, UTC. For a past change, the time of the
+    /// change.
     time_ns: i64,
     /// Start of the most credible first day of the loss, ns since the Unix epoch, UTC.
     since_ns: i64,
-    /// Start of the day on which the loss was found, ns since the Unix epoch, UTC.
-    changed_ns: i64,
+    /// Start of the day on which the loss was found, ns since the Unix epoch, UTC. For a past change,
+    /// the time of the change.
+    pub(crate) changed_ns: i64,
     /// Loss of stiffness as a share of the reference.
     loss: f64,
     loss_interval: CredibleInterval,
@@ -53,7 +55,7 @@ impl<'s> LastingAlert<'s> {
             |event: &Event| event.kind != EventKind::NoticeSent || is_about_lasting_change(event);
         Some(Self {
             kind: AlertKind::LastingLoss,
-            structure: &display.structure,
+            structure: display.structure.as_str(),
             parameter: &display.quantity,
             state,
             time_ns: display.day_ns.unwrap_or(change.found_ns),
@@ -70,6 +72,30 @@ impl<'s> LastingAlert<'s> {
             runbook: store.about.runbook.as_deref(),
             notices: notices_since(store, &display.quantity, change.found_ns, is_own),
         })
+    }
+
+    /// Returns the view of a past change.
+    pub(crate) fn past(store: &'s Store, past: &'s LossChange) -> Self {
+        let seen = past.seen.as_ref();
+        Self {
+            kind: AlertKind::LastingLoss,
+            structure: &store.about.name,
+            parameter: &past.quantity,
+            state: past.state,
+            time_ns: past.time_ns,
+            since_ns: past.change.since_ns,
+            changed_ns: past.time_ns,
+            loss: past.change.loss,
+            loss_interval: past.change.interval,
+            acknowledged_by: seen.map(|seen| seen.who.as_str()),
+            acknowledged_ns: seen.map(|seen| seen.time_ns),
+            note: seen.map(|seen| seen.text.as_str()),
+            why: &past.sentence,
+            stale: false,
+            contact: "",
+            runbook: None,
+            notices: Vec::new(),
+        }
     }
 }
 
@@ -97,7 +123,8 @@ pub(crate) fn check_loss_acknowledgeable(store: &Store, name: &str) -> Result<Na
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{demo_with_air, lasting_loss, name};
+    use crate::testing::{alert, demo_with_air, lasting_loss, name};
+    use crate::view::changes;
     use serde_json::{Value, json};
     use spandrel_bus::ChangeSeen;
     use spandrel_listener::Input;
@@ -160,6 +187,38 @@ mod tests {
         assert!(listed(&store).is_empty());
         let unjudged = Err("quantity `storey-1` is not judged".to_owned());
         assert_eq!(checked(&store, "storey-1"), unjudged);
+    }
+
+    #[test]
+    fn changes_of_lasting_losses_and_of_rules_are_one_list() {
+        let mut store = demo_with_air();
+        store.handle(Input::Judgement(lasting_loss("storey-2")));
+        store.handle(Input::Alert(alert("storey-1", 5, AlertState::Raised)));
+        store.handle(Input::Judgement(seen()));
+        store.handle(Input::Judgement(seen()));
+        store.handle(Input::Judgement(JudgementDisplay {
+            change: None,
+            ..lasting_loss("storey-2")
+        }));
+        let listed = |store: &Store| -> Vec<String> {
+            let all = changes(store, 9).into_iter().map(|change| json!(change));
+            let words = all.map(|of| {
+                let [kind, part, state] = ["kind", "parameter", "state"].map(|field| &of[field]);
+                format!("{kind} {part} {state} {}", of["changed_ns"]).replace('"', "")
+            });
+            words.collect()
+        };
+        let expected = [
+            "lasting-loss storey-2 cleared 900000000000",
+            "lasting-loss storey-2 acknowledged 7",
+            "rule storey-1 raised 5",
+            "lasting-loss storey-2 raised 0",
+        ];
+        assert_eq!(listed(&store), expected);
+        assert_eq!(listed(&store.past()), expected);
+        let newest = changes(&store, 2);
+        assert_eq!(newest.len(), 2);
+        assert_eq!(json!(newest[1])["acknowledged_by"], "Ada");
     }
 
     #[test]

@@ -5,7 +5,7 @@
 
 use crate::history::{Refused, time};
 use crate::store::Store;
-use crate::view::{AlertView, changes};
+use crate::view::{ChangeView, changes};
 use axum::Json;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -54,7 +54,7 @@ struct LogView<'s> {
     /// Time before which the period may contain more (s since the Unix epoch, UTC). `None` if the
     /// log is complete as far as the history goes.
     cut_at_s: Option<f64>,
-    changes: Vec<AlertView<'s>>,
+    changes: Vec<ChangeView<'s>>,
     events: Vec<&'s Event>,
 }
 
@@ -124,8 +124,9 @@ impl WantedLog {
             structure: &past.about.name,
             history,
             cut_at_s: cut_ns.map(|time_ns| time_ns as f64 / 1e9),
-            changes: changes(past)
-                .filter(|change| span.contains(&change.changed_ns))
+            changes: changes(past, usize::MAX)
+                .into_iter()
+                .filter(|change| span.contains(&change.changed_ns()))
                 .collect(),
             events: past
                 .events

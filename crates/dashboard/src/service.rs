@@ -27,7 +27,7 @@ use tracing::{info, warn};
 /// machine. A second dashboard on the same machine needs another port.
 pub const DEFAULT_ADDRESS: &str = "127.0.0.1:8080";
 
-/// All topics for display, and the past from the history service.
+/// All topics for display, and the past from the history service and the service `judge`.
 const NEEDS: Needs = Needs {
     topics: &[
         T::Ingested,
@@ -52,7 +52,7 @@ const NEEDS: Needs = Needs {
         T::Events,
     ],
     services: &Service::ALL,
-    logs: &[Service::History],
+    logs: &[Service::History, Service::Judge],
 };
 /// Interval at which messages from the bus are processed.
 const GATHER_EVERY: Duration = Duration::from_millis(50);

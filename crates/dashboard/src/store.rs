@@ -8,7 +8,8 @@ use crate::series::{Series, Table};
 use crate::topic::{Kind, SeriesName};
 use spandrel_bus::{
     Acknowledgement, AlertMessage, AlertState, ChannelState, ConditionDisplay, Event, EventKind,
-    HistoryLog, ModeDisplay, ModelClassDisplay, Name, Phase, SpectrumDisplay, WaveformDisplay,
+    HistoryLog, LossChange, ModeDisplay, ModelClassDisplay, Name, Phase, SpectrumDisplay,
+    WaveformDisplay,
 };
 use spandrel_listener::{AlertChange, Input, STALE_AFTER, StructureState};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -37,6 +38,8 @@ pub(crate) struct Store {
     notes: VecDeque<Acknowledgement>,
     /// Changes of alerts, newest first.
     pub(crate) changes: VecDeque<Change>,
+    /// Changes of lasting losses, oldest first.
+    pub(crate) loss_changes: Vec<LossChange>,
     /// Events, newest first.
     pub(crate) events: VecDeque<Event>,
     /// Channels that an event reported as excluded.
@@ -69,6 +72,7 @@ impl Store {
             phase: None,
             notes: VecDeque::new(),
             changes: VecDeque::new(),
+            loss_changes: Vec::new(),
             events: VecDeque::new(),
             excluded: BTreeSet::new(),
             used_ns: BTreeMap::new(),
@@ -96,6 +100,13 @@ impl Store {
             }
             Input::Event(event) => self.take_event(event),
             Input::Past(log) => self.take_past(log),
+            Input::Judgement(display) => {
+                LossChange::note(&mut self.loss_changes, &display);
+                self.state
+                    .handle(Input::Judgement(display), &mut Vec::new());
+            }
+            // The service knows more. Without a state folder, a restarted one knows nothing.
+            Input::LastingLosses(log) if !log.changes.is_empty() => self.loss_changes = log.changes,
             Input::Mode(display) => {
                 self.note_used_channels(&display);
                 self.state.handle(Input::Mode(display), &mut Vec::new());
@@ -415,6 +426,7 @@ impl Store {
         Self {
             notes: self.notes.clone(),
             changes: self.changes.clone(),
+            loss_changes: self.loss_changes.clone(),
             events: self.events.clone(),
             ..Self::new(self.about.clone())
         }

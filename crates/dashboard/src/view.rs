@@ -10,6 +10,7 @@ use spandrel_bus::{
     LossDisplay, ModeDisplay, ModelClassDisplay, Name, NodeDisplay, NoiseDisplay, OutlierDisplay,
     ParameterDisplay, ParameterMonitoring, Phase, Service, Status,
 };
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Maximum number of alert changes in one message. `/api/alerts` returns all stored changes.
@@ -37,7 +38,7 @@ pub(crate) struct Standing<'s> {
     alerts: Vec<AlertView<'s>>,
     /// The lasting losses as alerts, in the order of the structure file.
     lasting_alerts: Vec<LastingAlert<'s>>,
-    changes: Vec<AlertView<'s>>,
+    changes: Vec<ChangeView<'s>>,
     events: Vec<&'s Event>,
     sensors: Vec<SensorState<'s>>,
     services: Vec<ServiceView<'s>>,
@@ -80,6 +81,14 @@ pub(crate) struct AlertView<'s> {
     pub(crate) runbook: Option<&'s str>,
     /// The last notice of the alert to each receiver, newest first.
     pub(crate) notices: Vec<NoticeView<'s>>,
+}
+
+/// A past change of an alert.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub(crate) enum ChangeView<'s> {
+    Rule(AlertView<'s>),
+    LastingLoss(LastingAlert<'s>),
 }
 
 /// The last attempt to notify a receiver of an alert.
@@ -158,7 +167,7 @@ impl<'s> Standing<'s> {
             training: store.phase == Some(Phase::Training),
             alerts: standing_alerts(store).collect(),
             lasting_alerts: lasting_alerts(store).collect(),
-            changes: changes(store).take(CHANGES_SHOWN).collect(),
+            changes: changes(store, CHANGES_SHOWN),
             events: store.events.iter().take(EVENTS_SHOWN).collect(),
             sensors: sensor_states(store),
             services: services.into_iter().map(service).collect(),
@@ -283,10 +292,35 @@ pub(crate) fn present_loss(store: &Store, message: &AlertMessage) -> Option<Stri
     is_newer.then(|| loss.words())
 }
 
-/// Returns the changes of alerts, newest first.
-pub(crate) fn changes(store: &Store) -> impl Iterator<Item = AlertView<'_>> {
-    let changes = store.changes.iter();
-    changes.map(|change| AlertView::of(store, &change.alert, change.time_ns))
+impl ChangeView<'_> {
+    /// Returns the state after the change.
+    pub(crate) fn state(&self) -> AlertState {
+        match self {
+            Self::Rule(alert) => alert.message.state,
+            Self::LastingLoss(loss) => loss.state,
+        }
+    }
+
+    /// Returns the time of the change, ns since the Unix epoch, UTC.
+    pub(crate) fn changed_ns(&self) -> i64 {
+        match self {
+            Self::Rule(alert) => alert.changed_ns,
+            Self::LastingLoss(loss) => loss.changed_ns,
+        }
+    }
+}
+
+/// Returns the newest changes of alerts, newest first; at most `most`.
+pub(crate) fn changes(store: &Store, most: usize) -> Vec<ChangeView<'_>> {
+    let rules = store.changes.iter().take(most);
+    let rules = rules.map(|change| AlertView::of(store, &change.alert, change.time_ns));
+    let losses = store.loss_changes.iter().rev().take(most);
+    let losses = losses.map(|change| LastingAlert::past(store, change));
+    let mut all: Vec<ChangeView<'_>> = rules.map(ChangeView::Rule).collect();
+    all.extend(losses.map(ChangeView::LastingLoss));
+    all.sort_by_key(|change| Reverse(change.changed_ns()));
+    all.truncate(most);
+    all
 }
 
 #[cfg(test)]

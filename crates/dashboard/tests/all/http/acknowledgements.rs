@@ -3,7 +3,8 @@
 use super::{DEADLINE, JUDGE, Site, name};
 use serde_json::json;
 use spandrel_bus::{
-    Acknowledgement, AlertState, Annotation, AnnotationEffect, Event, EventKind, JudgementDisplay,
+    Acknowledgement, AlertState, Annotation, AnnotationEffect, ChangeSeen, Event, EventKind,
+    JudgementDisplay, JudgementLog, LossChange,
 };
 use spandrel_dashboard::{Listen, PageSettings};
 use spandrel_service::{EventPublisher, ServiceInstance};
@@ -129,6 +130,25 @@ fn lasting_loss() -> JudgementDisplay {
     serde_json::from_str(text).unwrap()
 }
 
+/// Returns the changes that the service judge has kept: the loss was found and acknowledged.
+fn past_of_the_loss() -> JudgementLog {
+    let mut changes = Vec::new();
+    LossChange::note(&mut changes, &lasting_loss());
+    let seen = JudgementDisplay {
+        seen: Some(ChangeSeen {
+            who: "Ada".to_owned(),
+            text: "on my way".to_owned(),
+            time_ns: 10,
+        }),
+        ..lasting_loss()
+    };
+    LossChange::note(&mut changes, &seen);
+    JudgementLog {
+        structure: name("demo"),
+        changes,
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
     let site = Site::of(Listen::At("127.0.0.1:0".into()).into(), JUDGE).await;
@@ -156,6 +176,17 @@ async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
     );
     let none = site.get("/api/alerts?state=acknowledged").await.json();
     assert_eq!(none["standing"], json!([]));
+    let change = &alerts["changes"][0];
+    assert_eq!(change["kind"], "lasting-loss");
+    assert_eq!(change["why"], alert["why"]);
+    let past = past_of_the_loss();
+    let key = site.keys.judgement_log();
+    let questions = site.bus.questions(key.clone(), 8).await.unwrap();
+    let answering = tokio::spawn(async move {
+        while let Some(question) = questions.next().await {
+            question.answer(&key, &past).await.unwrap();
+        }
+    });
 
     let instance = ServiceInstance::new(&site.bus, name("judge"));
     let judge = spandrel_bus::Service::Judge;
@@ -198,6 +229,21 @@ async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
             "Ada: on my way".to_owned()
         )
     );
+    // The past comes from the service judge.
+    let asking = async {
+        loop {
+            let alerts = site.get("/api/alerts").await.json();
+            if alerts["changes"].as_array().map(Vec::len) == Some(2) {
+                return alerts["changes"].clone();
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let changes = tokio::time::timeout(DEADLINE, asking).await.unwrap();
+    assert_eq!(changes[0]["state"], "acknowledged");
+    assert_eq!(changes[0]["acknowledged_by"], "Ada");
+    assert_eq!(changes[1]["state"], "raised");
+    answering.abort();
     drop(token);
     site.end().await;
 }
