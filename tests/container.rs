@@ -1,11 +1,19 @@
-//! The file of the container image, tested without a container engine: the files it copies exist,
-//! and its command works with them.
+//! The container image. Podman builds its last stage around the program of the tests, and runs it
+//! with the printed options. Without podman, the copied files and the command are still tested.
 
-use crate::support::{Process, spandrel};
+use crate::history::get;
+use crate::support::{Process, skip, spandrel};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
+use std::process::Command;
+use tempfile::TempDir;
 
 /// Folder of the configuration in the image.
 const CONFIGURATION: &str = "/etc/spandrel/";
+/// User and group in the image.
+const USER: u32 = 65532;
+/// Folders of the C library, which the program of the tests needs and that of the image does not.
+const LIBRARIES: [&str; 2] = ["/lib", "/lib64"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -154,4 +162,188 @@ fn the_command_of_the_image_starts_with_its_files_and_stops_in_order() {
         state.join("history.sqlite").is_file(),
         "what is kept lies in the volume"
     );
+}
+
+/// Podman with a storage of its own, which ends with it.
+struct Podman(TempDir);
+
+impl Podman {
+    /// Skips the test if podman is missing or lacks the rights of root.
+    fn or_skip() -> Option<Self> {
+        let mut asked = Command::new("podman");
+        asked.args(["info", "--format={{.Host.Security.Rootless}}"]);
+        let Ok(said) = asked.output() else {
+            skip("podman is not installed (apt-get install podman runc)");
+            return None;
+        };
+        if said.stdout != b"false\n" {
+            skip("podman cannot create files of another user without the rights of root");
+            return None;
+        }
+        Some(Self(tempfile::tempdir().unwrap()))
+    }
+
+    fn command(&self, subcommand: &str) -> Command {
+        let mut command = Command::new("podman");
+        for (option, folder) in [("--root", "root"), ("--runroot", "run")] {
+            command.arg(option).arg(self.0.path().join(folder));
+        }
+        // This driver mounts nothing, so that an image can be built without rights to mount.
+        command.args(["--storage-driver", "vfs", subcommand]);
+        command
+    }
+
+    /// Returns what a subcommand that must succeed prints.
+    #[track_caller]
+    fn said(&self, subcommand: &str, arguments: &[&str]) -> String {
+        let output = self.command(subcommand).args(arguments).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            output.status.success(),
+            "podman {subcommand} {arguments:?}\n{errors}"
+        );
+        String::from_utf8(output.stdout).unwrap().trim().to_owned()
+    }
+
+    /// Builds the last stage of the file. A folder replaces the stage that compiles.
+    fn build(&self) {
+        let stage = self.0.path().join("build");
+        let release = stage.join("source/target/of-the-tests-unknown-linux-musl/release");
+        std::fs::create_dir_all(&release).unwrap();
+        std::fs::copy(env!("CARGO_BIN_EXE_spandrel"), release.join("spandrel")).unwrap();
+        let runs = all("RUN");
+        let state = runs.iter().find(|run| run.starts_with("install "));
+        let state = state
+            .unwrap()
+            .replace("/image", &format!("{}/image", stage.display()));
+        let made = Command::new("sh").args(["-c", &state]).status().unwrap();
+        assert!(made.success(), "{state}");
+
+        let file = self.0.path().join("Containerfile");
+        let text = containerfile();
+        let (_, last) = text.rsplit_once("\nFROM ").unwrap();
+        std::fs::write(&file, format!("FROM {last}")).unwrap();
+        let arguments = [
+            "--layers=false",
+            "--tag=spandrel",
+            &format!("--build-context=build={}", stage.display()),
+            &format!("--file={}", file.display()),
+            &root().display().to_string(),
+        ];
+        self.said("build", &arguments);
+    }
+
+    /// Runs another program in the image, to learn whether this machine permits containers.
+    fn try_container(&self, options: &[String]) -> Result<(), String> {
+        let mut trial = self.command("run");
+        trial.args(options).args(["--rm", "--volume=/bin:/bin:ro"]);
+        let trial = trial.args(["--entrypoint=/bin/true", "spandrel"]).output();
+        let trial = trial.unwrap();
+        if trial.status.success() {
+            return Ok(());
+        }
+        let why = String::from_utf8_lossy(&trial.stderr).into_owned();
+        let refusals = ["not permitted", "denied", "cgroup"];
+        assert!(
+            refusals.iter().any(|refusal| why.contains(refusal)),
+            "{why}"
+        );
+        Err(why)
+    }
+}
+
+impl Drop for Podman {
+    fn drop(&mut self) {
+        // Containers and volumes hold locks of the machine. A test that failed has left them.
+        for rest in [
+            &["rm", "--all", "--force", "--volumes", "--time", "0"][..],
+            &["volume", "rm", "--all", "--force"],
+        ] {
+            let _ = self.command(rest[0]).args(&rest[1..]).output();
+        }
+    }
+}
+
+/// Returns owner, group and mode of a file.
+fn rights(path: &Path) -> (u32, u32, u32) {
+    let found =
+        std::fs::metadata(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    (found.uid(), found.gid(), found.mode() & 0o7777)
+}
+
+/// Returns the options of the command `podman run` in deploy/README.md, and those that only a test
+/// needs.
+fn options_of_run() -> Vec<String> {
+    let readme = std::fs::read_to_string(root().join("deploy/README.md")).unwrap();
+    let (_, command) = readme.split_once("\npodman run --detach ").unwrap();
+    let (command, _) = command.split_once("\n```").unwrap();
+    // The image has a configuration too.
+    let command = command.replace("--volume /etc/spandrel:/etc/spandrel:ro ", "");
+    let words = command.split_whitespace().filter(|word| *word != "\\");
+    let mut options: Vec<String> = words.map(str::to_owned).collect();
+    assert_eq!(options.pop().as_deref(), Some("spandrel"), "{command}");
+    options.extend(
+        [
+            // Only the volume is left for writing.
+            "--read-only-tmpfs=false",
+            // Podman's defaults may be above the limits of this machine.
+            "--ulimit=nofile=1024:1024",
+            "--ulimit=nproc=4096:4096",
+            // Other programs on this machine may use the default ports.
+            "--env=SPANDREL_BUS__LISTEN=tcp/127.0.0.1:0",
+            "--env=SPANDREL_DASHBOARD__LISTEN=127.0.0.1:0",
+        ]
+        .map(str::to_owned),
+    );
+    let libraries = LIBRARIES
+        .into_iter()
+        .filter(|folder| Path::new(folder).exists());
+    options.extend(libraries.map(|folder| format!("--volume={folder}:{folder}:ro")));
+    options
+}
+
+#[test]
+fn the_built_image_runs_as_printed_and_writes_only_to_its_volume() {
+    let Some(podman) = Podman::or_skip() else {
+        return;
+    };
+    podman.build();
+    let image = PathBuf::from(podman.said("image", &["mount", "spandrel"]));
+    let entries = std::fs::read_dir(&image).unwrap();
+    let mut folders: Vec<_> = entries.map(|entry| entry.unwrap().file_name()).collect();
+    folders.sort();
+    assert_eq!(folders, ["etc", "usr", "var"]);
+    assert_eq!(rights(&image.join("usr/local/bin/spandrel")), (0, 0, 0o755));
+    assert_eq!(rights(&image.join("var/lib")), (0, 0, 0o755));
+    assert_eq!(rights(&image.join("var/lib/spandrel")), (USER, USER, 0o700));
+    for path in copied_to(CONFIGURATION) {
+        let copy = image.join("etc/spandrel").join(path.file_name().unwrap());
+        assert_eq!(std::fs::read(&copy).unwrap(), std::fs::read(&path).unwrap());
+    }
+
+    let options = options_of_run();
+    if let Err(why) = podman.try_container(&options) {
+        println!("the image is not run, because this machine permits no container: {why}");
+        return;
+    }
+    let container = Process::start(podman.command("run").args(&options).arg("spandrel"));
+    container.wait_for_log("ready structures=1");
+    container.wait_for_output("address of the page", |said| said.contains("page: http://"));
+    let said = container.output();
+    let (_, page) = said.split_once("page: http://").unwrap();
+    let address = page.split('/').next().unwrap();
+    assert_eq!(get(address, "/health/live")["live"], true);
+    let process = podman.said(
+        "container",
+        &["inspect", "--format={{.State.Pid}}", "spandrel"],
+    );
+    let (user, group, _) = rights(&Path::new("/proc").join(process));
+    assert_eq!((user, group), (USER, USER));
+
+    podman.said("stop", &["spandrel"]);
+    container.wait().expect_code(0);
+    let inspected = ["inspect", "--format={{.Mountpoint}}", "spandrel-state"];
+    let state = PathBuf::from(podman.said("volume", &inspected));
+    assert_eq!(rights(&state), (USER, USER, 0o700));
+    assert!(state.join("history.sqlite").is_file());
 }
