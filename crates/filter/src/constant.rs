@@ -212,23 +212,14 @@ impl ConstantTransition {
     }
 
     pub(crate) fn check(&self, state_len: usize, excitation_len: usize) -> Result<(), FilterError> {
-        for (what, found, expected) in [
+        FilterError::check_sizes([
             ("constant transition", self.held.nrows(), state_len),
             (
                 "input of the constant transition",
                 self.held.ncols(),
                 excitation_len,
             ),
-        ] {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
-        Ok(())
+        ])
     }
 }
 

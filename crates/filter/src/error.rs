@@ -78,3 +78,25 @@ pub enum FilterError {
         reason: String,
     },
 }
+
+impl FilterError {
+    /// Compares sizes in order. Each one has the name of a vector or matrix, its length and the
+    /// length that the model requires.
+    ///
+    /// # Errors
+    /// Returns [`FilterError::Dimension`] with the first size that is wrong.
+    pub fn check_sizes(
+        sizes: impl IntoIterator<Item = (&'static str, usize, usize)>,
+    ) -> Result<(), Self> {
+        for (what, found, expected) in sizes {
+            if found != expected {
+                return Err(Self::Dimension {
+                    what,
+                    found,
+                    expected,
+                });
+            }
+        }
+        Ok(())
+    }
+}

@@ -207,14 +207,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// Returns an error if the number of levels does not fit the model, or if a level is not
     /// positive and finite.
     pub fn set_noise_parameters(&mut self, psi: &[f64]) -> Result<(), FilterError> {
-        let (found, expected) = (psi.len(), self.state.noise.mean.len());
-        if found != expected {
-            return Err(FilterError::Dimension {
-                what: "noise parameters",
-                found,
-                expected,
-            });
-        }
+        FilterError::check_sizes([("noise parameters", psi.len(), self.state.noise.mean.len())])?;
         for &level in psi {
             if !(level > 0.0 && level.is_finite()) {
                 return Err(FilterError::Setting {
@@ -291,16 +284,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 self.model.excitation_len(),
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
-        Ok(())
+        FilterError::check_sizes(sizes)
     }
 }
 

@@ -68,16 +68,7 @@ impl LinearModel {
                 channels * channels,
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
-        Ok(())
+        FilterError::check_sizes(sizes)
     }
 }
 
@@ -117,18 +108,10 @@ impl KalmanFilter {
     ) -> Result<Self, FilterError> {
         model.check()?;
         let (n, channels) = (model.transition.nrows(), model.observation.nrows());
-        for (what, found, expected) in [
+        FilterError::check_sizes([
             ("mean", mean.len(), n),
             ("covariance", covariance.len(), n * n),
-        ] {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        ])?;
         let process_noise = &model.input * &model.excitation_covariance * model.input.transpose();
         Ok(Self {
             process_noise,

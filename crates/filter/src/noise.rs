@@ -126,16 +126,8 @@ fn check_square(
     matrix: &DMatrix<f64>,
     expected: usize,
 ) -> Result<(), FilterError> {
-    for found in [matrix.nrows(), matrix.ncols()] {
-        if found != expected {
-            return Err(FilterError::Dimension {
-                what,
-                found,
-                expected,
-            });
-        }
-    }
-    Ok(())
+    let lengths = [matrix.nrows(), matrix.ncols()];
+    FilterError::check_sizes(lengths.map(|found| (what, found, expected)))
 }
 
 fn check_positive(what: &'static str, found: f64) -> Result<(), FilterError> {

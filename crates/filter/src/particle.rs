@@ -291,15 +291,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
                 self.model().input_len(),
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes(sizes)?;
         let resampled = self.coefficient_of_variation() > self.settings.resampling_threshold;
         if resampled {
             self.resample();
@@ -402,15 +394,7 @@ impl<M: ParticleModel> ParticleFilter<M> {
                 p,
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes(sizes)?;
         self.state = state;
         self.summarise();
         Ok(())
@@ -620,15 +604,7 @@ fn check_start(start: &GaussianStart, n: usize, inputs: usize) -> Result<(), Fil
             inputs,
         ),
     ];
-    for (what, found, expected) in sizes {
-        if found != expected {
-            return Err(FilterError::Dimension {
-                what,
-                found,
-                expected,
-            });
-        }
-    }
+    FilterError::check_sizes(sizes)?;
     if let Some(index) = start.mean.iter().position(|value| !value.is_finite()) {
         return Err(FilterError::NotFinite {
             what: "mean of the start",

@@ -75,18 +75,10 @@ pub fn stationary_error_covariance(
 ) -> Result<DMatrix<f64>, FilterError> {
     model.check()?;
     let (n, channels) = (model.transition.nrows(), model.observation.nrows());
-    for (what, found, expected) in [
+    FilterError::check_sizes([
         ("rows of the gain", gain.nrows(), n),
         ("columns of the gain", gain.ncols(), channels),
-    ] {
-        if found != expected {
-            return Err(FilterError::Dimension {
-                what,
-                found,
-                expected,
-            });
-        }
-    }
+    ])?;
     let correction = DMatrix::identity(n, n) - gain * &model.observation; // I − G H
     let b = &correction * &model.input;
     let noise = &b * &model.excitation_covariance * b.transpose()

@@ -390,14 +390,11 @@ impl<S: ComponentSystem> ClassBank<S> {
             filters,
         } = state;
         let components = self.system.components().len();
-        let found = state.factors.len();
-        if found != components {
-            return Err(FilterError::Dimension {
-                what: "components of a checkpoint",
-                found,
-                expected: components,
-            });
-        }
+        FilterError::check_sizes([(
+            "components of a checkpoint",
+            state.factors.len(),
+            components,
+        )])?;
         if let (ClassPlan::Hierarchical { substructures }, Level::Second { substructure }) =
             (&self.settings.plan, state.level)
             && substructure >= substructures.groups().len()
@@ -411,19 +408,14 @@ impl<S: ComponentSystem> ClassBank<S> {
         }
         let groupings = self.settings.plan.classes(state.level, components)?;
         let expected = groupings.len();
-        for found in [
+        let classes = [
             filters.len(),
             state.plausibilities.logarithms().len(),
             state.persistence.classes(),
-        ] {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what: "classes of a checkpoint",
-                    found,
-                    expected,
-                });
-            }
-        }
+        ];
+        FilterError::check_sizes(
+            classes.map(|found| ("classes of a checkpoint", found, expected)),
+        )?;
         if state.lead >= expected {
             return Err(FilterError::Dimension {
                 what: "leading class of a checkpoint",

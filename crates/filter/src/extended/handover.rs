@@ -51,15 +51,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 own_inputs,
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes(sizes)?;
         self.state = state;
         Ok(())
     }

@@ -42,21 +42,14 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
     /// if the current covariance of the parameters is singular. The filter is then unchanged.
     pub fn replace_parameters(&mut self, parameters: &Gaussian) -> Result<(), FilterError> {
         let (first, len) = self.parameter_range();
-        let sizes = [("mean of parameters", parameters.mean.len(), len)];
-        let square = [(
-            "covariance of parameters",
-            parameters.covariance.len(),
-            len * len,
-        )];
-        for (what, found, expected) in sizes.into_iter().chain(square) {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes([
+            ("mean of parameters", parameters.mean.len(), len),
+            (
+                "covariance of parameters",
+                parameters.covariance.len(),
+                len * len,
+            ),
+        ])?;
         parameters.information()?;
         let now = self.parameters();
         let mut factor = now.covariance.clone();
@@ -134,18 +127,10 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
         covariance: &DMatrix<f64>,
     ) -> Result<(), FilterError> {
         let n = self.state.mean.len();
-        for (what, found, expected) in [
+        FilterError::check_sizes([
             ("mean of state", mean.len(), n),
             ("covariance of state", covariance.len(), n * n),
-        ] {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        ])?;
         if let Some(index) = mean
             .iter()
             .chain(covariance.iter())
@@ -190,15 +175,7 @@ impl<M: ProcessModel + ObservationModel> ExtendedKalmanFilter<M> {
                 rows.nrows(),
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes(sizes)?;
         if let Some(index) = values.iter().position(|value| !value.is_finite()) {
             return Err(FilterError::NotFinite {
                 what: "observed motion",

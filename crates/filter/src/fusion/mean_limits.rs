@@ -29,16 +29,10 @@ impl MeanLimits {
         expected: usize,
         whats: [&'static str; 2],
     ) -> Result<(), FilterError> {
-        for (what, limits) in whats.into_iter().zip([&self.lower, &self.upper]) {
-            let found = limits.len();
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
-        Ok(())
+        let [lower, upper] = whats;
+        FilterError::check_sizes([
+            (lower, self.lower.len(), expected),
+            (upper, self.upper.len(), expected),
+        ])
     }
 }

@@ -90,18 +90,10 @@ impl<S: ContinuousSystem> Drifting<S> {
         lower: Vec<f64>,
     ) -> Result<Self, FilterError> {
         let expected = system.drifting_len();
-        for (what, found) in [
-            ("drift", drift_std.len()),
-            ("lower limit of the drift", lower.len()),
-        ] {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes([
+            ("drift", drift_std.len(), expected),
+            ("lower limit of the drift", lower.len(), expected),
+        ])?;
         if !(step_s > 0.0 && step_s.is_finite()) {
             return Err(FilterError::Setting {
                 what: "time step",

@@ -298,7 +298,7 @@ impl Reliability {
     /// # Errors
     /// Returns an error if it belongs to other channels.
     pub(super) fn restore(&mut self, state: ReliabilityState) -> Result<(), FilterError> {
-        for (what, found, expected) in [
+        FilterError::check_sizes([
             (
                 "measured excitations of a checkpoint",
                 state.excitations.len(),
@@ -309,15 +309,7 @@ impl Reliability {
                 state.responses.len(),
                 self.responses.len(),
             ),
-        ] {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        ])?;
         self.state = state;
         Ok(())
     }

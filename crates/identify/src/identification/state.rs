@@ -108,47 +108,28 @@ impl Identification {
                 self.last_values.len(),
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
-        if !self.check.restore(state.sensors) {
-            return Err(FilterError::Dimension {
-                what: "sensor check of a checkpoint (0: of other channels, 1: of the structure \
-                       file)",
-                found: 0,
-                expected: 1,
-            });
-        }
-        if !state.spikes.fits(self.last_values.len()) {
-            return Err(FilterError::Dimension {
-                what: "frames of a checkpoint without spikes (0: of other channels, 1: of the \
-                       structure file)",
-                found: 0,
-                expected: 1,
-            });
-        }
-        if !self.recent.restore(state.recent) {
-            return Err(FilterError::Dimension {
-                what: "recent frames of a checkpoint (0: of other channels, 1: of the structure \
-                       file)",
-                found: 0,
-                expected: 1,
-            });
-        }
-        if !self.sudden.restore(state.sudden, &self.estimator) {
-            return Err(FilterError::Dimension {
-                what: "sudden faults of a checkpoint (0: of other channels, 1: of the structure \
-                       file)",
-                found: 0,
-                expected: 1,
-            });
-        }
+        FilterError::check_sizes(sizes)?;
+        FilterError::check_sizes([(
+            "sensor check of a checkpoint (0: of other channels, 1: of the structure file)",
+            usize::from(self.check.restore(state.sensors)),
+            1,
+        )])?;
+        FilterError::check_sizes([(
+            "frames of a checkpoint without spikes (0: of other channels, 1: of the structure \
+             file)",
+            usize::from(state.spikes.fits(self.last_values.len())),
+            1,
+        )])?;
+        FilterError::check_sizes([(
+            "recent frames of a checkpoint (0: of other channels, 1: of the structure file)",
+            usize::from(self.recent.restore(state.recent)),
+            1,
+        )])?;
+        FilterError::check_sizes([(
+            "sudden faults of a checkpoint (0: of other channels, 1: of the structure file)",
+            usize::from(self.sudden.restore(state.sudden, &self.estimator)),
+            1,
+        )])?;
         self.reliability.restore(state.reliability)?;
         self.estimator.restore(state.estimator)?;
         self.band_limit = state.band_limit;

@@ -57,15 +57,7 @@ impl NodeIdentification {
                 self.screening.len(),
             ),
         ];
-        for (what, found, expected) in sizes {
-            if found != expected {
-                return Err(FilterError::Dimension {
-                    what,
-                    found,
-                    expected,
-                });
-            }
-        }
+        FilterError::check_sizes(sizes)?;
         self.filter.restore(state.filter)?;
         self.epoch = self.epoch.max(state.epoch.saturating_add(1));
         self.band_limit = state.band_limit;

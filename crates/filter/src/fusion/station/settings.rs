@@ -97,14 +97,12 @@ impl StationSettings {
     }
 
     pub(super) fn check(&self) -> Result<(), FilterError> {
-        let (found, expected) = (self.variance_bound.len(), self.prior.mean.len());
-        if found != expected {
-            return Err(FilterError::Dimension {
-                what: "variance bound of the station",
-                found,
-                expected,
-            });
-        }
+        let expected = self.prior.mean.len();
+        FilterError::check_sizes([(
+            "variance bound of the station",
+            self.variance_bound.len(),
+            expected,
+        )])?;
         self.healthy.check(
             expected,
             [
