@@ -183,6 +183,30 @@ impl Webhook {
         let place = format!("{place}.template-file");
         path.map(|path| read_template(path, place)).transpose()
     }
+
+    /// Checks the settings of this table, which `place` names.
+    fn check(&self, place: &str) -> Result<(), NotifyError> {
+        let setting = |what: &str, found: String, allowed| NotifyError::Setting {
+            place: format!("{place}.{what}"),
+            found,
+            allowed,
+        };
+        if !is_http(&self.url) {
+            let found = format!("{:?}", shown(&self.url));
+            return Err(setting("url", found, "http://… or https://…"));
+        }
+        read_secret(self.token_file.as_deref(), &format!("{place}.token-file"))?;
+        self.conditions().check(place)?;
+        self.template(place)?;
+        let is_template = self.template_file.is_some();
+        let is_held = !self.quiet.is_empty() || self.after_s > 0.0;
+        if self.format == WebhookFormat::Alertmanager && (is_template || is_held) {
+            let found = "alertmanager, with template-file, quiet or after-s".to_owned();
+            let allowed = "spandrel with these settings; Alertmanager has its own";
+            return Err(setting("format", found, allowed));
+        }
+        Ok(())
+    }
 }
 
 impl Email {
@@ -206,6 +230,43 @@ impl Email {
             Some(path) => read_template(path, format!("{place}.template-file"))?,
         };
         Ok([subject, text])
+    }
+
+    /// Checks the settings of this table, which `place` names.
+    fn check(&self, place: &str) -> Result<(), NotifyError> {
+        let setting = |what: &str, found: String, allowed| NotifyError::Setting {
+            place: format!("{place}.{what}"),
+            found,
+            allowed,
+        };
+        let addresses = std::iter::once(&self.from).chain(&self.to);
+        for (number, address) in addresses.enumerate() {
+            if address.parse::<Mailbox>().is_err() {
+                let what = if number == 0 { "from" } else { "to" };
+                let allowed = "an address such as Bridges <bridges@site.example>";
+                return Err(setting(what, format!("{address:?}"), allowed));
+            }
+        }
+        if self.to.is_empty() {
+            return Err(setting("to", "empty".to_owned(), "at least one address"));
+        }
+        if self.user.is_some() != self.password_file.is_some() {
+            let found = "only one of user and password-file".to_owned();
+            return Err(setting("user", found, "both or none"));
+        }
+        if self.encryption == Encryption::None && self.user.is_some() {
+            let found = "none, with a password".to_owned();
+            return Err(setting(
+                "encryption",
+                found,
+                "tls or starttls if user is set",
+            ));
+        }
+        let place_of_password = format!("{place}.password-file");
+        read_secret(self.password_file.as_deref(), &place_of_password)?;
+        self.conditions().check(place)?;
+        self.templates(place)?;
+        Ok(())
     }
 }
 
@@ -324,75 +385,10 @@ impl NotifySettings {
         check_delay(self.degraded_after_s, "degraded-after-s")?;
         check_delay(self.watching_after_s, "watching-after-s")?;
         for (index, webhook) in self.webhook.iter().enumerate() {
-            let place = |what: &str| format!("webhook[{index}].{what}");
-            if !is_http(&webhook.url) {
-                let found = format!("{:?}", shown(&webhook.url));
-                return Err(NotifyError::Setting {
-                    place: place("url"),
-                    found,
-                    allowed: "http://… or https://…",
-                });
-            }
-            read_secret(webhook.token_file.as_deref(), &place("token-file"))?;
-            webhook.conditions().check(&format!("webhook[{index}]"))?;
-            webhook.template(&format!("webhook[{index}]"))?;
-            let is_template = webhook.template_file.is_some();
-            let is_held = !webhook.quiet.is_empty() || webhook.after_s > 0.0;
-            if webhook.format == WebhookFormat::Alertmanager && (is_template || is_held) {
-                return Err(NotifyError::Setting {
-                    place: place("format"),
-                    found: "alertmanager, with template-file, quiet or after-s".to_owned(),
-                    allowed: "spandrel with these settings; Alertmanager has its own",
-                });
-            }
+            webhook.check(&format!("webhook[{index}]"))?;
         }
         for (index, email) in self.email.iter().enumerate() {
-            let place = |what: &str| format!("email[{index}].{what}");
-            let addresses = std::iter::once(&email.from).chain(&email.to);
-            for (number, address) in addresses.enumerate() {
-                if address.parse::<Mailbox>().is_err() {
-                    let place = place(if number == 0 { "from" } else { "to" });
-                    let allowed = "an address such as Bridges <bridges@site.example>";
-                    return Err(NotifyError::Setting {
-                        place,
-                        found: format!("{address:?}"),
-                        allowed,
-                    });
-                }
-            }
-            if email.to.is_empty() {
-                let (found, allowed) = ("empty".to_owned(), "at least one address");
-                return Err(NotifyError::Setting {
-                    place: place("to"),
-                    found,
-                    allowed,
-                });
-            }
-            if email.user.is_some() != email.password_file.is_some() {
-                let (found, allowed) = (
-                    "only one of user and password-file".to_owned(),
-                    "both or none",
-                );
-                return Err(NotifyError::Setting {
-                    place: place("user"),
-                    found,
-                    allowed,
-                });
-            }
-            if email.encryption == Encryption::None && email.user.is_some() {
-                let (found, allowed) = (
-                    "none, with a password".to_owned(),
-                    "tls or starttls if user is set",
-                );
-                return Err(NotifyError::Setting {
-                    place: place("encryption"),
-                    found,
-                    allowed,
-                });
-            }
-            read_secret(email.password_file.as_deref(), &place("password-file"))?;
-            email.conditions().check(&format!("email[{index}]"))?;
-            email.templates(&format!("email[{index}]"))?;
+            email.check(&format!("email[{index}]"))?;
         }
         Ok(())
     }
