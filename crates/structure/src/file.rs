@@ -277,13 +277,6 @@ impl<'t> StructureFile<'t> {
                 has_classes: classes.is_some(),
             },
         );
-        let parameter_names: Vec<&str> = parameters
-            .iter()
-            .map(|read| read.parameter.name())
-            .collect();
-        let parameter_names = (declared == parameters.len()).then_some(&parameter_names[..]);
-        let node_names: Vec<&str> = nodes.nodes.iter().map(crate::Node::name).collect();
-        let node_names = (!nodes.incomplete).then_some(&node_names[..]);
         let parameter_spans = parameters.iter().map(|read| read.name.clone());
         let responses = response::read_responses(&mut file, system, parameter_spans);
         if !responses.is_empty() {
@@ -293,15 +286,8 @@ impl<'t> StructureFile<'t> {
         }
         let band_limit = filter::read_band_limit(file.table("band-limit"), head.rate_hz);
         let ingest = filter::read_ingest(file.table("ingest"), head.rate_hz);
-        let watchable: Vec<alert::Watchable<'_>> = parameters
-            .iter()
-            .map(|read| alert::Watchable {
-                name: read.parameter.name(),
-                is_stiffness: read.parameter.is_stiffness(),
-            })
-            .collect();
         let context = alert::Context {
-            parameters: (declared == parameters.len()).then_some(&watchable[..]),
+            parameters: all_parameters,
             learn_s: modes
                 .as_ref()
                 .map_or(0.0, |modes| alert::learning_s(plan.half_life_s, modes)),
@@ -318,7 +304,7 @@ impl<'t> StructureFile<'t> {
             section => section,
         };
         let updatable = modal::Updatable {
-            parameters: (declared == parameters.len()).then_some(&parameters[..]),
+            parameters: all_parameters,
             is_linear: !is_modal && system.is_none_or(|system| system.hysteresis.is_none()),
             is_distributed: head.is_distributed(),
         };
@@ -330,8 +316,8 @@ impl<'t> StructureFile<'t> {
         let simulation = simulation::read_simulation(
             file.table("simulation"),
             &simulation::Context {
-                parameters: parameter_names,
-                nodes: node_names,
+                parameters: all_parameters,
+                nodes: (!nodes.incomplete).then_some(&nodes.nodes[..]),
                 levels,
             },
         );

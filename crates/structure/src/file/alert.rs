@@ -1,6 +1,7 @@
 //! Reads `[[alert]]`.
 
 use super::find_name;
+use super::parameter::ParameterRead;
 use crate::alert_rule::{AlertRule, Reference};
 use crate::modes::Modes;
 use crate::section::{Allowed, Section};
@@ -23,17 +24,10 @@ const LEARN_HALF_LIVES: f64 = 3.0;
 /// The motion of the first mode has about ten independent amplitudes in that time.
 const LEARN_PERIODS: f64 = 30.0;
 
-/// A parameter that an alert can watch.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Watchable<'c> {
-    pub(super) name: &'c str,
-    pub(super) is_stiffness: bool,
-}
-
 /// Objects to which the rules refer.
 pub(super) struct Context<'c> {
     /// Parameters in state order; `None` if some could not be read.
-    pub(super) parameters: Option<&'c [Watchable<'c>]>,
+    pub(super) parameters: Option<&'c [ParameterRead]>,
     /// Default learning time (s) of a reference.
     pub(super) learn_s: f64,
 }
@@ -104,7 +98,7 @@ fn read_alert(mut section: Section<'_>, context: &Context<'_>) -> Option<AlertRu
 /// Reads the watched parameters: a list, all, or all that scale a stiffness.
 fn read_watched(
     section: &mut Section<'_>,
-    parameters: Option<&[Watchable<'_>]>,
+    parameters: Option<&[ParameterRead]>,
 ) -> Option<Vec<usize>> {
     let rule = "must be \"stiffness\", \"all\" or a list of parameters";
     if section.is_text("parameters") {
@@ -113,7 +107,7 @@ fn read_watched(
             "all" => Some((0..parameters?.len()).collect()),
             "stiffness" => Some(
                 (0..parameters?.len())
-                    .filter(|index| parameters.is_some_and(|p| p[*index].is_stiffness))
+                    .filter(|index| parameters.is_some_and(|p| p[*index].parameter.is_stiffness()))
                     .collect(),
             ),
             _ => None,
@@ -149,7 +143,7 @@ fn read_watched(
             section,
             "parameters",
             name,
-            parameters.iter().map(|parameter| parameter.name),
+            parameters.iter().map(|read| read.parameter.name()),
         )
     };
     let found: Vec<_> = watched.get_ref().iter().map(find).collect();

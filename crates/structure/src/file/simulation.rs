@@ -1,6 +1,8 @@
 //! Reads `[simulation]`.
 
 use super::find_name;
+use super::parameter::ParameterRead;
+use crate::node::Node;
 use crate::noise_level::NoiseLevel;
 use crate::section::{Allowed, Section};
 use crate::simulation_plan::{Damage, Fault, FaultKind, Modulation, SimulationPlan, SpikeKind};
@@ -19,8 +21,8 @@ const FAULT_KINDS: [(&str, FaultKind); 2] =
 
 /// Objects to which a simulation refers; `None` if some could not be read.
 pub(super) struct Context<'c> {
-    pub(super) parameters: Option<&'c [&'c str]>,
-    pub(super) nodes: Option<&'c [&'c str]>,
+    pub(super) parameters: Option<&'c [ParameterRead]>,
+    pub(super) nodes: Option<&'c [Node]>,
     pub(super) levels: Option<&'c [NoiseLevel]>,
 }
 
@@ -29,7 +31,7 @@ pub(super) fn read_simulation(
     section: Option<Section<'_>>,
     context: &Context<'_>,
 ) -> SimulationPlan {
-    let node_count = context.nodes.map_or(0, <[&str]>::len);
+    let node_count = context.nodes.map_or(0, <[_]>::len);
     let mut plan = SimulationPlan::uneventful(node_count);
     let Some(mut section) = section else {
         return plan;
@@ -113,7 +115,7 @@ fn read_by_node(
         let number = section.entry_number(key, &node, value, allowed);
         let index = context
             .nodes
-            .and_then(|nodes| find_name(section, key, &node, nodes.iter().copied()));
+            .and_then(|nodes| find_name(section, key, &node, nodes.iter().map(Node::name)));
         if let (Some(index), Some(number)) = (index, number) {
             numbers[index] = number;
         }
@@ -145,8 +147,14 @@ fn read_fault(mut section: Section<'_>, context: &Context<'_>) -> Option<Fault> 
             "must be given together with kind = \"bias\"",
         );
     }
-    let node =
-        node.and_then(|name| find_name(&section, "node", &name, context.nodes?.iter().copied()));
+    let node = node.and_then(|name| {
+        find_name(
+            &section,
+            "node",
+            &name,
+            context.nodes?.iter().map(Node::name),
+        )
+    });
     section.finish();
     let height = height.map_or(SimulationPlan::BIAS_HEIGHT, Spanned::into_inner);
     Some(Fault {
@@ -180,7 +188,7 @@ fn read_damage(mut section: Section<'_>, context: &Context<'_>) -> Option<Damage
             &section,
             "parameter",
             &name,
-            context.parameters?.iter().copied(),
+            context.parameters?.iter().map(|read| read.parameter.name()),
         )
     });
     section.finish();
