@@ -31,6 +31,8 @@ use crate::computed::Computed;
 use crate::diagnostics::{Diagnostics, counted, one_of};
 use crate::error::StructureError;
 use crate::judge_plan::JudgedStructure;
+use crate::linear_system::{Damping, LinearSystem};
+use crate::modes::Modes;
 use crate::noise_level::{NoiseLevel, NoiseSource};
 use crate::section::{Allowed, Section, short};
 use crate::structure::Structure;
@@ -80,6 +82,17 @@ impl Head {
             );
         }
     }
+}
+
+/// The `[model]` and `[damping]` tables, as far as they could be read.
+struct Dynamics {
+    /// The model with its damping, or an empty system for the kind `modal`.
+    system: Option<LinearSystem>,
+    modes: Option<Modes>,
+    damping: Option<Damping>,
+    damping_is_known: bool,
+    /// Whether the kind is `modal`.
+    is_modal: bool,
 }
 
 /// Default of `display-rate-hz`: as fast as the eye can follow.
@@ -201,26 +214,13 @@ impl<'t> StructureFile<'t> {
     fn read(&self, diagnostics: &Diagnostics<'_>) -> Option<Structure> {
         let mut file = Section::new(self.document.get_ref(), "", 0..0, diagnostics);
         let head = read_head(&mut file);
-        let model = file.required_table("model").and_then(model::read_model);
-        let is_modal = model.as_ref().is_some_and(|read| read.system.is_empty());
-        let damping_section = match is_modal {
-            true => {
-                file.refuse_keys(&OF_MODELS, model::WITHOUT_A_MODEL);
-                None
-            }
-            false => file.required_table("damping"),
-        };
-        let damping =
-            damping_section.and_then(|section| damping::read_damping(section, model.as_ref()));
-        let (mut system, modes) = match model {
-            Some(ModelRead { system, modes }) => (Some(system), Some(modes)),
-            None => (None, None),
-        };
-        let damping_is_known = damping.as_ref().is_some_and(|read| read.is_known);
-        let damping = damping.map(|read| read.damping);
-        if let (Some(system), Some(damping)) = (&mut system, &damping) {
-            system.damping = damping.clone();
-        }
+        let Dynamics {
+            system,
+            modes,
+            damping,
+            damping_is_known,
+            is_modal,
+        } = read_dynamics(&mut file);
         let system = system.as_ref();
         let nodes = node::read_nodes(&mut file, head.rate_hz, system);
         let channels = (!nodes.incomplete).then_some(&nodes.channels[..]);
@@ -242,19 +242,7 @@ impl<'t> StructureFile<'t> {
                 share parameters";
             head.refuse_distributed(diagnostics, allowed);
         }
-        let follows = if declared > 0 {
-            filter::Follows::Parameters
-        } else {
-            filter::Follows::MotionAlone
-        };
-        let measures = match excitations
-            .iter()
-            .any(|read| read.excitation.channel().is_some())
-        {
-            true => filter::Measures::Excitation,
-            false => filter::Measures::ResponsesAlone,
-        };
-        let task = filter::FilterTask { follows, measures };
+        let task = filter_task(declared, &excitations);
         let mut plan = filter::read_filter(file.table("filter"), head.rate_hz, task);
         filter::check_particles(&file, &plan, head.distributed.as_ref());
         plan.outliers = outliers::read_outliers(file.table("outliers"), head.rate_hz);
@@ -417,6 +405,54 @@ fn read_head(file: &mut Section<'_>) -> Head {
     head.display_rate_hz = section.number_or("display-rate-hz", Allowed::POSITIVE, DISPLAY_RATE_HZ);
     section.finish();
     head
+}
+
+/// Reads `[model]` and `[damping]`, and refuses the tables that need a model if there is none.
+fn read_dynamics(file: &mut Section<'_>) -> Dynamics {
+    let model = file.required_table("model").and_then(model::read_model);
+    let is_modal = model.as_ref().is_some_and(|read| read.system.is_empty());
+    let damping = match is_modal {
+        true => {
+            file.refuse_keys(&OF_MODELS, model::WITHOUT_A_MODEL);
+            None
+        }
+        false => file.required_table("damping"),
+    };
+    let damping = damping.and_then(|section| damping::read_damping(section, model.as_ref()));
+    let damping_is_known = damping.as_ref().is_some_and(|read| read.is_known);
+    let damping = damping.map(|read| read.damping);
+    let (mut system, modes) = match model {
+        Some(ModelRead { system, modes }) => (Some(system), Some(modes)),
+        None => (None, None),
+    };
+    if let (Some(system), Some(damping)) = (&mut system, &damping) {
+        system.damping = damping.clone();
+    }
+    Dynamics {
+        system,
+        modes,
+        damping,
+        damping_is_known,
+        is_modal,
+    }
+}
+
+/// Returns the task of the filter of a structure with this number of parameters.
+fn filter_task(
+    parameters: usize,
+    excitations: &[excitation::ExcitationRead],
+) -> filter::FilterTask {
+    let is_measured = |read: &excitation::ExcitationRead| read.excitation.channel().is_some();
+    filter::FilterTask {
+        follows: match parameters {
+            0 => filter::Follows::MotionAlone,
+            _ => filter::Follows::Parameters,
+        },
+        measures: match excitations.iter().any(is_measured) {
+            true => filter::Measures::Excitation,
+            false => filter::Measures::ResponsesAlone,
+        },
+    }
 }
 
 /// Returns the channel of each component of an excitation.
