@@ -166,6 +166,25 @@ struct Beginning {
 }
 
 impl Beginning {
+    /// Begins an epoch of the service `id`, without earlier frames.
+    fn of_epoch(epoch: u64, id: String, layout: &Layout, keys: &Keys, keep: Keep) -> Self {
+        Self {
+            core: Alignment::new(layout.clone(), id.clone(), epoch),
+            stream: NumberedStream {
+                key: keys.frames(),
+                buffer_key: keys.recording(),
+                source: id,
+                epoch,
+                first: 0,
+                state: StreamState::Running,
+                keep,
+            },
+            places: Vec::new(),
+            done: 0,
+            last_time_ns: None,
+        }
+    }
+
     /// Resumes from the recorded frames, and reports them as processed.
     fn after(self, past: Past, keys: &Keys, progress: &ProgressPublisher) -> Self {
         let Self {
@@ -336,10 +355,10 @@ impl IngestService {
             let (recorder, past) = match &recording {
                 Some(recording) => {
                     let structure = keys.structure().as_str();
-                    let opened = tokio::task::block_in_place(|| {
+                    let (recorder, past) = tokio::task::block_in_place(|| {
                         Recorder::open(structure, &layout, channels, recording)
                     })?;
-                    (Some(Box::new(opened.0)), opened.1)
+                    (Some(Box::new(recorder)), past)
                 }
                 None => (None, None),
             };
@@ -349,26 +368,11 @@ impl IngestService {
             let epoch = past
                 .as_ref()
                 .map_or(epoch, |past| epoch.max(past.last.header.epoch + 1));
-            let stream = NumberedStream {
-                key: keys.frames(),
-                buffer_key: keys.recording(),
-                source: id.to_string(),
-                epoch,
-                first: 0,
-                state: StreamState::Running,
-                keep: if recorder.is_some() {
-                    IN_MEMORY
-                } else {
-                    Keep::last(FRAMES_KEPT)
-                },
+            let keep = match recorder {
+                Some(_) => IN_MEMORY,
+                None => Keep::last(FRAMES_KEPT),
             };
-            let beginning = Beginning {
-                core: Alignment::new(layout.clone(), id.to_string(), epoch),
-                stream,
-                places: Vec::new(),
-                done: 0,
-                last_time_ns: None,
-            };
+            let beginning = Beginning::of_epoch(epoch, id.to_string(), &layout, &keys, keep);
             let progress = bus
                 .publish_progress(keys.progress(Service::Ingest), id.to_string())
                 .await?;
