@@ -89,48 +89,18 @@ impl Reading<'_> {
         labels: Vec<String>,
     ) -> Option<SourceKind> {
         let mistakes = &mut self.mistakes;
-        let address = |section: &mut Section<'_>, mistakes: &mut Vec<Mistake>| {
-            let allowed = "must be HOST:PORT, such as \"0.0.0.0:8888\"";
-            let address = section.required_text("address", allowed, mistakes)?;
-            let is_address = address
-                .rsplit_once(':')
-                .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
-            if !is_address {
-                section.report("address", format!("is \"{address}\""), allowed, mistakes);
-                return None;
-            }
-            Some(address)
-        };
         match kind {
             Kind::Udp => {
-                let (listen, format) = (
-                    address(section, mistakes),
-                    line_format(section, labels, Columns::Declared, mistakes),
-                );
-                Some(SourceKind::Udp {
-                    listen: listen?,
-                    format: format?,
-                })
+                let (listen, format) = address_and_format(section, labels, mistakes)?;
+                Some(SourceKind::Udp { listen, format })
             }
             Kind::Tcp => {
-                let (address, format) = (
-                    address(section, mistakes),
-                    line_format(section, labels, Columns::Declared, mistakes),
-                );
-                Some(SourceKind::Tcp {
-                    address: address?,
-                    format: format?,
-                })
+                let (address, format) = address_and_format(section, labels, mistakes)?;
+                Some(SourceKind::Tcp { address, format })
             }
             Kind::TcpServer => {
-                let (listen, format) = (
-                    address(section, mistakes),
-                    line_format(section, labels, Columns::Declared, mistakes),
-                );
-                Some(SourceKind::TcpServer {
-                    listen: listen?,
-                    format: format?,
-                })
+                let (listen, format) = address_and_format(section, labels, mistakes)?;
+                Some(SourceKind::TcpServer { listen, format })
             }
             Kind::Stdin => {
                 let format = line_format(section, labels, Columns::Declared, mistakes)?;
@@ -147,28 +117,9 @@ impl Reading<'_> {
                     start: start.unwrap_or(StartAt::End),
                 }))
             }
-            Kind::SeedLink => {
-                let address = address(section, mistakes);
-                let newest = section.choice("protocol", &VERSIONS, mistakes);
-                let is_id = |label: &&String| {
-                    let codes: Vec<&str> = label.split('.').collect();
-                    matches!(codes[..], [network, station, location, channel]
-                        if !network.is_empty() && !station.is_empty()
-                            && location.len() <= 2 && channel.len() == 3)
-                };
-                for label in labels.iter().filter(|label| !is_id(label)) {
-                    let found = format!("has source \"{label}\"");
-                    let allowed =
-                        "must be NETWORK.STATION.LOCATION.CHANNEL, such as AM.R1234.00.ENZ";
-                    section.report("channel", found, allowed, mistakes);
-                }
-                Some(SourceKind::SeedLink(SeedLinkServer {
-                    address: address?,
-                    newest: newest.unwrap_or(SeedLinkVersion::Four),
-                }))
-            }
+            Kind::SeedLink => seed_link(section, &labels, mistakes).map(SourceKind::SeedLink),
             Kind::Mqtt => {
-                let address = address(section, mistakes);
+                let address = read_address(section, mistakes);
                 self.mqtt(section, address, labels)
             }
             Kind::Folder => {
@@ -235,6 +186,55 @@ impl Reading<'_> {
             }
         }
     }
+}
+
+fn read_address(section: &mut Section<'_>, mistakes: &mut Vec<Mistake>) -> Option<String> {
+    let allowed = "must be HOST:PORT, such as \"0.0.0.0:8888\"";
+    let address = section.required_text("address", allowed, mistakes)?;
+    let is_address = address
+        .rsplit_once(':')
+        .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+    if !is_address {
+        section.report("address", format!("is \"{address}\""), allowed, mistakes);
+        return None;
+    }
+    Some(address)
+}
+
+/// Reads the address of a connection that carries lines, and their format.
+fn address_and_format(
+    section: &mut Section<'_>,
+    labels: Vec<String>,
+    mistakes: &mut Vec<Mistake>,
+) -> Option<(String, LineFormat)> {
+    let address = read_address(section, mistakes);
+    let format = line_format(section, labels, Columns::Declared, mistakes);
+    Some((address?, format?))
+}
+
+/// Reads the server and checks that every channel has the name of a SeedLink stream.
+fn seed_link(
+    section: &mut Section<'_>,
+    labels: &[String],
+    mistakes: &mut Vec<Mistake>,
+) -> Option<SeedLinkServer> {
+    let address = read_address(section, mistakes);
+    let newest = section.choice("protocol", &VERSIONS, mistakes);
+    let is_id = |label: &&String| {
+        let codes: Vec<&str> = label.split('.').collect();
+        matches!(codes[..], [network, station, location, channel]
+            if !network.is_empty() && !station.is_empty()
+                && location.len() <= 2 && channel.len() == 3)
+    };
+    for label in labels.iter().filter(|label| !is_id(label)) {
+        let found = format!("has source \"{label}\"");
+        let allowed = "must be NETWORK.STATION.LOCATION.CHANNEL, such as AM.R1234.00.ENZ";
+        section.report("channel", found, allowed, mistakes);
+    }
+    Some(SeedLinkServer {
+        address: address?,
+        newest: newest.unwrap_or(SeedLinkVersion::Four),
+    })
 }
 
 impl LineFormat {
