@@ -1,6 +1,6 @@
 //! Errors that prevent an identification from starting or terminate the service.
 
-use spandrel_bus::{BusError, NameError};
+use spandrel_bus::{BusError, Name, NameError};
 use spandrel_checkpoint::CheckpointError;
 use spandrel_earthquake::EarthquakeError;
 use spandrel_filter::FilterError;
@@ -76,4 +76,12 @@ impl IdentifyError {
     pub fn is_bad_input(&self) -> bool {
         matches!(self, Self::StateTooLarge { .. })
     }
+}
+
+/// Converts a name in the file of `structure` to a chunk of a key expression.
+pub(crate) fn key_name(structure: &str, name: &str) -> Result<Name, IdentifyError> {
+    Name::new(name).map_err(|source| IdentifyError::Name {
+        structure: structure.to_owned(),
+        source,
+    })
 }

@@ -15,7 +15,7 @@ mod spikes;
 mod state;
 mod sudden;
 
-use crate::error::IdentifyError;
+use crate::error::{IdentifyError, key_name};
 use crate::estimator::Estimator;
 use crate::model_classes::ClassView;
 use crate::screening::ScreeningView;
@@ -192,12 +192,27 @@ fn hearing_of(structure: &Structure, channel: Option<usize>) -> Hearing {
 }
 
 /// Returns the declared band limit, if any.
-fn band_limit_of(structure: &Structure) -> Result<Option<BandLimit>, FilterError> {
+pub(crate) fn band_limit_of(structure: &Structure) -> Result<Option<BandLimit>, FilterError> {
     let Some(limit) = structure.band_limit() else {
         return Ok(None);
     };
     let (rate_hz, channels) = (structure.sampling_rate_hz(), structure.channel_count());
     BandLimit::low_pass(limit.order, limit.frequency_hz, rate_hz, channels).map(Some)
+}
+
+/// Returns a view of each observed channel. Empty if outliers are not screened.
+fn screening_of(
+    structure: &Structure,
+    estimator: &Estimator,
+    channel_names: &[Name],
+) -> Vec<ScreeningView> {
+    let observed = structure.observation_channels().iter();
+    match estimator.outliers() {
+        Some(_) => observed
+            .map(|channel| ScreeningView::new(channel_names[*channel].clone()))
+            .collect(),
+        None => Vec::new(),
+    }
 }
 
 /// Returns the search for sudden faults in its initial state.
@@ -279,12 +294,7 @@ impl Identification {
             structure: structure.name().to_owned(),
             source,
         };
-        let named = |name: &str| {
-            Name::new(name).map_err(|source| IdentifyError::Name {
-                structure: structure.name().to_owned(),
-                source,
-            })
-        };
+        let named = |name: &str| key_name(structure.name(), name);
         let channels = structure.channel_count();
         let fit = FitView::new(structure).map_err(|source| IdentifyError::Name {
             structure: structure.name().to_owned(),
@@ -318,15 +328,8 @@ impl Identification {
             structure.excitation_channels().len(),
             check.window_s() * structure.sampling_rate_hz(),
         );
-        let observed = structure.observation_channels().iter();
-        let screening = match estimator.outliers() {
-            Some(_) => observed
-                .map(|channel| ScreeningView::new(channel_names[*channel].clone()))
-                .collect(),
-            None => Vec::new(),
-        };
         Ok(Self {
-            screening,
+            screening: screening_of(structure, &estimator, &channel_names),
             classes: estimator
                 .classes()
                 .map(|bank| ClassView::new(structure, bank)),

@@ -8,8 +8,8 @@
 //! Replayed samples wait for the station's feedback to each estimate, so that the same record gives
 //! the same results. Live samples do not wait.
 
-use crate::error::IdentifyError;
-use crate::identification::BRIDGED_GAP_S;
+use crate::error::{IdentifyError, key_name};
+use crate::identification::{BRIDGED_GAP_S, band_limit_of};
 use crate::node_frames::NodeFrames;
 use crate::node_screening::NodeScreening;
 use serde::{Deserialize, Serialize};
@@ -132,12 +132,7 @@ impl NodeIdentification {
             structure: structure.name().to_owned(),
             source,
         };
-        let named = |name: &str| {
-            Name::new(name).map_err(|source| IdentifyError::Name {
-                structure: structure.name().to_owned(),
-                source,
-            })
-        };
+        let named = |name: &str| key_name(structure.name(), name);
         let no_node = || IdentifyError::NotDistributed {
             structure: structure.name().to_owned(),
         };
@@ -149,18 +144,7 @@ impl NodeIdentification {
         let node = structure.nodes().get(position).ok_or_else(no_node)?;
         let own = structure.of_node(node.name()).ok_or_else(no_node)?;
         let channels = own.channel_count();
-        let band_limit = own
-            .band_limit()
-            .map(|limit| {
-                BandLimit::low_pass(
-                    limit.order,
-                    limit.frequency_hz,
-                    own.sampling_rate_hz(),
-                    channels,
-                )
-            })
-            .transpose()
-            .map_err(refused)?;
+        let band_limit = band_limit_of(&own).map_err(refused)?;
         let screened = |channel: &usize| {
             NodeScreening::new(structure.name(), node.channels()[*channel].name())
         };

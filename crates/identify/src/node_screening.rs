@@ -1,7 +1,7 @@
 //! The outlier reports of a node: events at once, and the state of each channel with every message
 //! to the station.
 
-use crate::error::IdentifyError;
+use crate::error::{IdentifyError, key_name};
 use crate::screening::ScreeningView;
 use serde::{Deserialize, Serialize};
 use spandrel_bus::{EventKind, MaskedSpan, Name, ScreenedChannel};
@@ -23,12 +23,8 @@ impl NodeScreening {
     /// # Errors
     /// Returns an error if the name cannot be part of a key expression.
     pub(crate) fn new(structure: &str, channel: &str) -> Result<Self, IdentifyError> {
-        let refused = |source| IdentifyError::Name {
-            structure: structure.to_owned(),
-            source,
-        };
         Ok(Self {
-            view: ScreeningView::new(Name::new(channel).map_err(refused)?),
+            view: ScreeningView::new(key_name(structure, channel)?),
             faulty: false,
             masked: None,
         })

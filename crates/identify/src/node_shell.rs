@@ -1,6 +1,6 @@
 //! Connects the identification by one sensor node to the bus.
 
-use crate::error::IdentifyError;
+use crate::error::{IdentifyError, key_name};
 use crate::node::{NodeIdentification, NodeIdentificationState, NodeInput, NodeOutput};
 use crate::pieces::Pieces;
 use crate::pool::FilterPool;
@@ -129,13 +129,7 @@ impl NodeService {
             } = monitored;
             let mut core = NodeIdentification::new(structure, *position, clock.epoch())?;
             let displays = start_displays(bus, monitored, *position).await?;
-            let named = |name: &str| {
-                Name::new(name).map_err(|source| IdentifyError::Name {
-                    structure: structure.name().to_owned(),
-                    source,
-                })
-            };
-            let node = named(structure.nodes()[*position].name())?;
+            let node = key_name(structure.name(), structure.nodes()[*position].name())?;
             let instance = ServiceInstance {
                 bus: bus.clone(),
                 id: node.clone(),
@@ -425,12 +419,7 @@ async fn start_displays(
     let Some(node) = structure.nodes().get(position).filter(|_| is_requested) else {
         return Ok(None);
     };
-    let named = |name: &str| {
-        Name::new(name).map_err(|source| IdentifyError::Name {
-            structure: structure.name().to_owned(),
-            source,
-        })
-    };
+    let named = |name: &str| key_name(structure.name(), name);
     let channels = node.channels().iter().map(|channel| named(channel.name()));
     let shown = NodeChannels {
         node: named(node.name())?,

@@ -3,7 +3,7 @@
 use super::hearing::Hearing;
 use super::spikes::Sample;
 use super::{Identification, Output};
-use crate::error::IdentifyError;
+use crate::error::{IdentifyError, key_name};
 use spandrel_bus::{
     ChannelHealthDisplay, EventKind, Excluded, FaultKind, Name, SensorHealthDisplay,
 };
@@ -296,10 +296,7 @@ pub(super) fn compared_nodes(
         let channels = first..first + node.channels().len();
         first = channels.end;
         if check.health()[channels.clone()].iter().any(Option::is_some) {
-            let name = Name::new(node.name()).map_err(|source| IdentifyError::Name {
-                structure: structure.name().to_owned(),
-                source,
-            })?;
+            let name = key_name(structure.name(), node.name())?;
             compared.push((name, channels));
         }
     }
