@@ -37,30 +37,41 @@ pub(super) fn read(
     let chunk_bytes = chunk_bytes
         .ok_or_else(|| Fault::at_byte(0, "bytes of a chunk", "too large", "fewer than 2^64"))?;
     if chunk_bytes == 0 {
-        return match data.left() {
-            0 => Ok(()),
-            left => Err(Fault::at_byte(
-                0,
-                "raw data",
-                format!("{left} bytes"),
-                "empty: no channel has values here",
-            )),
-        };
+        return expect_no_data(&data);
     }
     while !data.is_at_end() {
-        if (data.left() as u64) < chunk_bytes && !is_unfinished {
-            let found = format!("{} bytes", data.left());
-            return Err(Fault::at_byte(
-                data.position(),
-                "last chunk of raw data",
-                found,
-                format!("{chunk_bytes} bytes"),
-            ));
-        }
+        expect_chunk(&data, chunk_bytes, is_unfinished)?;
         match is_interleaved {
             true => read_interleaved(&mut data, &indices, objects)?,
             false => read_contiguous(&mut data, &indices, objects)?,
         }
+    }
+    Ok(())
+}
+
+/// Reports data of a segment whose channels have no values.
+fn expect_no_data(data: &Bytes<'_>) -> Result<(), Fault> {
+    match data.left() {
+        0 => Ok(()),
+        left => Err(Fault::at_byte(
+            0,
+            "raw data",
+            format!("{left} bytes"),
+            "empty: no channel has values here",
+        )),
+    }
+}
+
+/// Reports a last chunk that is too short, unless the segment is unfinished.
+fn expect_chunk(data: &Bytes<'_>, bytes: u64, is_unfinished: bool) -> Result<(), Fault> {
+    if (data.left() as u64) < bytes && !is_unfinished {
+        let found = format!("{} bytes", data.left());
+        return Err(Fault::at_byte(
+            data.position(),
+            "last chunk of raw data",
+            found,
+            format!("{bytes} bytes"),
+        ));
     }
     Ok(())
 }
@@ -165,29 +176,8 @@ fn read_daqmx(
         };
         // All channels state the widths of the same buffers.
         widths = own;
-        for Scaler {
-            kind,
-            buffer,
-            place,
-            ..
-        } in scalers
-        {
-            let width = own.get(*buffer as usize).copied().unwrap_or(0);
-            let end = match place {
-                StridePosition::Byte(byte) => {
-                    u64::from(*byte) + daqmx_size(*kind).unwrap_or(0) as u64
-                }
-                StridePosition::Bit(bit) => u64::from(bit / 8) + 1,
-            };
-            if end > u64::from(width) {
-                let found = format!("up to byte {end} of buffer {buffer}");
-                return Err(Fault::at_byte(
-                    0,
-                    format!("place of {path}"),
-                    found,
-                    format!("within its {width} bytes"),
-                ));
-            }
+        for scaler in scalers {
+            check_place(path, scaler, own)?;
         }
         counts.push(*count);
     }
@@ -196,26 +186,10 @@ fn read_daqmx(
         sum.checked_add(strides.checked_mul(u64::from(*width))?)
     });
     let Some(chunk) = chunk.filter(|chunk| *chunk > 0) else {
-        return match data.left() {
-            0 => Ok(()),
-            left => Err(Fault::at_byte(
-                0,
-                "raw data",
-                format!("{left} bytes"),
-                "empty: no channel has values here",
-            )),
-        };
+        return expect_no_data(&data);
     };
     while !data.is_at_end() {
-        if (data.left() as u64) < chunk && !is_unfinished {
-            let found = format!("{} bytes", data.left());
-            return Err(Fault::at_byte(
-                data.position(),
-                "last chunk of raw data",
-                found,
-                format!("{chunk} bytes"),
-            ));
-        }
+        expect_chunk(&data, chunk, is_unfinished)?;
         for (buffer, width) in widths.iter().enumerate() {
             let length = usize::try_from(strides * u64::from(*width))
                 .unwrap_or(usize::MAX)
@@ -241,6 +215,26 @@ fn read_daqmx(
                 }
             }
         }
+    }
+    Ok(())
+}
+
+/// Checks that the values of a scaler lie within their buffer, which has one of `widths` in bytes.
+fn check_place(path: &str, scaler: &Scaler, widths: &[u32]) -> Result<(), Fault> {
+    let buffer = scaler.buffer;
+    let width = widths.get(buffer as usize).copied().unwrap_or(0);
+    let end = match scaler.place {
+        StridePosition::Byte(byte) => u64::from(byte) + daqmx_size(scaler.kind).unwrap_or(0) as u64,
+        StridePosition::Bit(bit) => u64::from(bit / 8) + 1,
+    };
+    if end > u64::from(width) {
+        let found = format!("up to byte {end} of buffer {buffer}");
+        return Err(Fault::at_byte(
+            0,
+            format!("place of {path}"),
+            found,
+            format!("within its {width} bytes"),
+        ));
     }
     Ok(())
 }
