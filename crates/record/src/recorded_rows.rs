@@ -34,38 +34,7 @@ impl RecordedRows {
     /// not.
     pub fn new(file: &RecordedFile, mapping: &ColumnMapping) -> Result<Self, RecordError> {
         let path = || file.path().to_owned();
-        let of_name = |name: &str| match places_of(
-            name,
-            file.channels().iter().map(RecordedChannel::name),
-        )[..]
-        {
-            [place] => file.channels().get(place),
-            // Several channels can match only if the unit follows the name.
-            _ => None,
-        };
-        let missing: Vec<String> = mapping
-            .channels()
-            .iter()
-            .map(|column| column.column().to_owned())
-            .filter(|name| of_name(name).is_none())
-            .collect();
-        if !missing.is_empty() {
-            let found = file
-                .channels()
-                .iter()
-                .map(|channel| channel.name().to_owned())
-                .collect();
-            return Err(RecordError::MissingChannels {
-                path: path(),
-                missing,
-                found,
-            });
-        }
-        let channels: Vec<(&ChannelColumn, &RecordedChannel)> = mapping
-            .channels()
-            .iter()
-            .filter_map(|column| Some((column, of_name(column.column())?)))
-            .collect();
+        let channels = find_channels(file, mapping)?;
         let declared_hz = match mapping.time() {
             TimeSource::Counted { rate_hz } => Some(*rate_hz),
             TimeSource::Column { .. } => None,
@@ -133,6 +102,41 @@ impl RecordedRows {
             values,
         })
     }
+}
+
+/// Returns the channels of the mapping, in its order.
+fn find_channels<'a>(
+    file: &'a RecordedFile,
+    mapping: &'a ColumnMapping,
+) -> Result<Vec<(&'a ChannelColumn, &'a RecordedChannel)>, RecordError> {
+    let of_name =
+        |name: &str| match places_of(name, file.channels().iter().map(RecordedChannel::name))[..] {
+            [place] => file.channels().get(place),
+            // Several channels can match only if the unit follows the name.
+            _ => None,
+        };
+    let missing: Vec<String> = mapping
+        .channels()
+        .iter()
+        .map(|column| column.column().to_owned())
+        .filter(|name| of_name(name).is_none())
+        .collect();
+    if !missing.is_empty() {
+        let found = file
+            .channels()
+            .iter()
+            .map(|channel| channel.name().to_owned())
+            .collect();
+        return Err(RecordError::MissingChannels {
+            path: file.path().to_owned(),
+            missing,
+            found,
+        });
+    }
+    let columns = mapping.channels().iter();
+    Ok(columns
+        .filter_map(|column| Some((column, of_name(column.column())?)))
+        .collect())
 }
 
 /// Returns times and samples of a channel as an iterator that owns them.
