@@ -40,7 +40,7 @@ pub(crate) fn describe(
     alert: &Alert,
     before: Before<'_>,
 ) -> String {
-    let Subject { name, quantity, .. } = subject;
+    let name = &subject.name;
     let undecided = |because| undecided(because, rule, alert, before);
     if let (AlertState::Undecided, Some(because)) = (alert.state, alert.undecided_because) {
         return format!("no decision on {name}: {}", undecided(because));
@@ -48,32 +48,15 @@ pub(crate) fn describe(
     let (Some(loss), Some(reference)) = (&alert.loss, &alert.reference) else {
         return format!("reference of {name} is being learnt");
     };
-    // A normal or cleared state claims no loss that could still fall.
-    let has_lost = !matches!(alert.state, AlertState::Normal | AlertState::Cleared);
-    let follows = alert.follows_jump && alert.undecided_because.is_none();
-    let how_much = match has_lost && follows {
-        true => followed(quantity, loss, alert, before.alert),
-        false => {
-            let (lost, intervals) = with_intervals(loss.loss, loss, alert);
-            format!("{lost} of its {quantity} ({intervals})")
-        }
-    };
+    let parts = Parts::of(subject, rule, alert, loss, before);
+    let Parts {
+        how_much,
+        how_sure,
+        of_rule,
+        since,
+        ..
+    } = &parts;
     let found = alert.probability_of_loss;
-    let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
-    let how_sure = format!(
-        "more than {} with probability {told}",
-        percent(alert.rule_loss)
-    );
-    // If the probability is too low, the text contains the rule's value.
-    let of_rule = if found < rule.credibility() {
-        format!("{how_sure} ({} required)", asked(rule.credibility()))
-    } else {
-        how_sure.clone()
-    };
-    let since = alert
-        .since_ns
-        .map(|time_ns| format!(", since {}", time(time_ns)))
-        .unwrap_or_default();
     let ends = match found < rule.clear_credibility() {
         true => format!(
             "; the alert will clear if this lasts for {}",
@@ -104,30 +87,7 @@ pub(crate) fn describe(
                 .shaking
                 .map_or_else(|| "in strong motion".to_owned(), in_motion)
         ),
-        AlertState::Unconfirmed => {
-            let seen = if alert.acknowledgement.is_some() {
-                format!("; {}", acknowledged(alert))
-            } else {
-                String::new()
-            };
-            match alert.undecided_because {
-                // The last decided estimate did not show the loss any more.
-                Some(because) if found < rule.credibility() => format!(
-                    "{name} had an alert{since}; not confirmed now: {}; the last decided estimate \
-                     shows a loss of {how_much}, {of_rule}{seen}",
-                    undecided(because)
-                ),
-                Some(because) => format!(
-                    "{name} had lost {how_much}, {of_rule}{since}; not confirmed now: {}{seen}",
-                    undecided(because)
-                ),
-                None => format!(
-                    "{name} had an alert{since} that the data do not confirm: loss now {how_much}, \
-                     {of_rule}{seen}; the alert will clear if this lasts for {}",
-                    duration(rule.sustain_ns())
-                ),
-            }
-        }
+        AlertState::Unconfirmed => unconfirmed(&parts, rule, alert, before),
         // A raised alert needs the required probability only once.
         AlertState::Raised => format!("{name} has lost {how_much}, {how_sure}{since}{ends}"),
         AlertState::Acknowledged => {
@@ -151,6 +111,99 @@ pub(crate) fn describe(
              below {} for {}",
             percent(alert.rule_loss),
             asked(rule.clear_credibility()),
+            duration(rule.sustain_ns())
+        ),
+    }
+}
+
+/// Parts of the sentence about an alert with a loss.
+struct Parts<'a> {
+    /// Name of the parameter.
+    name: &'a str,
+    /// The loss with its intervals.
+    how_much: String,
+    /// The probability that the loss exceeds the one of the rule.
+    how_sure: String,
+    /// The same probability, with the value of the rule if it is below that.
+    of_rule: String,
+    /// The start of the loss after a comma. Empty if there is none.
+    since: String,
+}
+
+impl<'a> Parts<'a> {
+    fn of(
+        subject: &'a Subject,
+        rule: &Rule,
+        alert: &Alert,
+        loss: &LossEstimate,
+        before: Before<'_>,
+    ) -> Self {
+        let Subject { name, quantity, .. } = subject;
+        // A normal or cleared state claims no loss that could still fall.
+        let has_lost = !matches!(alert.state, AlertState::Normal | AlertState::Cleared);
+        let follows = alert.follows_jump && alert.undecided_because.is_none();
+        let how_much = match has_lost && follows {
+            true => followed(quantity, loss, alert, before.alert),
+            false => {
+                let (lost, intervals) = with_intervals(loss.loss, loss, alert);
+                format!("{lost} of its {quantity} ({intervals})")
+            }
+        };
+        let found = alert.probability_of_loss;
+        let told = RoundedProbability::new(found, &[rule.credibility(), rule.clear_credibility()]);
+        let how_sure = format!(
+            "more than {} with probability {told}",
+            percent(alert.rule_loss)
+        );
+        // If the probability is too low, the text contains the rule's value.
+        let of_rule = if found < rule.credibility() {
+            format!("{how_sure} ({} required)", asked(rule.credibility()))
+        } else {
+            how_sure.clone()
+        };
+        let since = alert
+            .since_ns
+            .map(|time_ns| format!(", since {}", time(time_ns)))
+            .unwrap_or_default();
+        Self {
+            name,
+            how_much,
+            how_sure,
+            of_rule,
+            since,
+        }
+    }
+}
+
+/// Returns the decision about an unconfirmed alert in words.
+fn unconfirmed(parts: &Parts<'_>, rule: &Rule, alert: &Alert, before: Before<'_>) -> String {
+    let Parts {
+        name,
+        how_much,
+        of_rule,
+        since,
+        ..
+    } = parts;
+    let seen = if alert.acknowledgement.is_some() {
+        format!("; {}", acknowledged(alert))
+    } else {
+        String::new()
+    };
+    let undecided = |because| undecided(because, rule, alert, before);
+    match alert.undecided_because {
+        // The last decided estimate did not show the loss any more.
+        Some(because) if alert.probability_of_loss < rule.credibility() => format!(
+            "{name} had an alert{since}; not confirmed now: {}; the last decided estimate shows a \
+             loss of {how_much}, {of_rule}{seen}",
+            undecided(because)
+        ),
+        Some(because) => format!(
+            "{name} had lost {how_much}, {of_rule}{since}; not confirmed now: {}{seen}",
+            undecided(because)
+        ),
+        None => format!(
+            "{name} had an alert{since} that the data do not confirm: loss now {how_much}, \
+             {of_rule}{seen}; the alert will clear if this lasts for {}",
             duration(rule.sustain_ns())
         ),
     }
