@@ -39,15 +39,7 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
             found: "no recording is given",
         });
     };
-    let inputs = || paths.iter().copied();
-    for file in arguments.csv.iter().chain(&arguments.uff) {
-        refuse_overwriting(file, inputs())?;
-    }
-    if let Some(folder) = &arguments.report {
-        for name in [STABILISATION, SINGULAR_VALUES, MODES_JSON, MODES_CSV] {
-            refuse_overwriting(&folder.join(name), inputs())?;
-        }
-    }
+    check_outputs(arguments, &paths)?;
     let selection = Selection {
         only: &arguments.channels,
         without: &arguments.without,
@@ -68,7 +60,8 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
         .and_then(Structure::modal)
         .filter(|_| !is_own_choice);
     let options = arguments.reading.options();
-    let files: Vec<Vec<PathBuf>> = inputs()
+    let files: Vec<Vec<PathBuf>> = paths
+        .iter()
         .map(|path| recordings(path, &options))
         .collect::<Result<_, _>>()?;
     let reading = match (&structure, plan) {
@@ -84,7 +77,7 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
     let Some(first) = all.first() else {
         return Ok(()); // there is a path, and each has a recording
     };
-    let common = match inputs().count() {
+    let common = match paths.len() {
         1 => path,
         _ => path.parent().unwrap_or(path),
     };
@@ -93,15 +86,7 @@ pub fn run(arguments: &ModesArguments) -> Result<(), AppError> {
         all: &all,
         first,
     };
-    if let Some(folder) = &arguments.report {
-        report(folder, records, &analysis)?;
-    }
-    if let Some(file) = &arguments.csv {
-        write(file, &table::csv(records, &analysis))?;
-    }
-    if let Some(file) = &arguments.uff {
-        write(file, &uff::file(first, &analysis, structure.as_ref()))?;
-    }
+    write_outputs(arguments, records, &analysis, structure.as_ref())?;
     print(&if arguments.json {
         table::json(records, &analysis)
     } else if arguments.declare {
@@ -130,6 +115,39 @@ fn divide(arguments: &ModesArguments) -> Result<(Vec<&Path>, Option<&Path>), App
             found: "several structure files are given",
         }),
     }
+}
+
+/// Refuses outputs that would overwrite a recording.
+fn check_outputs(arguments: &ModesArguments, recordings: &[&Path]) -> Result<(), AppError> {
+    let inputs = || recordings.iter().copied();
+    for file in arguments.csv.iter().chain(&arguments.uff) {
+        refuse_overwriting(file, inputs())?;
+    }
+    if let Some(folder) = &arguments.report {
+        for name in [STABILISATION, SINGULAR_VALUES, MODES_JSON, MODES_CSV] {
+            refuse_overwriting(&folder.join(name), inputs())?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes the requested files.
+fn write_outputs(
+    arguments: &ModesArguments,
+    records: Recordings<'_>,
+    analysis: &Analysis,
+    structure: Option<&Structure>,
+) -> Result<(), AppError> {
+    if let Some(folder) = &arguments.report {
+        report(folder, records, analysis)?;
+    }
+    if let Some(file) = &arguments.csv {
+        write(file, &table::csv(records, analysis))?;
+    }
+    if let Some(file) = &arguments.uff {
+        write(file, &uff::file(records.first, analysis, structure))?;
+    }
+    Ok(())
 }
 
 /// Writes the files of a report into a folder, which is created if it does not exist.
