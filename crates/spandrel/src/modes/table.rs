@@ -96,7 +96,27 @@ pub fn text(records: Recordings<'_>, analysis: &Analysis) -> String {
         let of = counted(epochs, "epoch", "epochs");
         let _ = writeln!(text, "left out of {of}: {channel} ({reason})");
     }
-    text += "\nmode  frequency Hz       ±  scatter  damping %      ±  epochs  complexity\n";
+    text += &mode_rows(analysis);
+    if !analysis.uncertain.is_empty() {
+        let modes = counted(analysis.uncertain.len(), "mode", "modes");
+        let at = analysis.uncertain.iter();
+        let at: Vec<String> = at.map(|mode| format!("{:.2}", mode.frequency_hz)).collect();
+        let _ = writeln!(
+            text,
+            "not listed: {modes} whose damping ratio is less than twice its standard deviation, at \
+             {} Hz",
+            at.join(", ")
+        );
+    }
+    text + &differing_text(records, analysis)
+        + &declared_text(analysis)
+        + &stiffness::text(analysis)
+}
+
+/// Returns a heading, and one row for each mode or machine.
+fn mode_rows(analysis: &Analysis) -> String {
+    let mut text =
+        "\nmode  frequency Hz       ±  scatter  damping %      ±  epochs  complexity\n".to_owned();
     let mut number = 0;
     for mode in &analysis.modes {
         let name = match mode.source {
@@ -124,20 +144,7 @@ pub fn text(records: Recordings<'_>, analysis: &Analysis) -> String {
             Source::Machine => "  a machine, not a mode: no damping, constant amplitude\n",
         };
     }
-    if !analysis.uncertain.is_empty() {
-        let modes = counted(analysis.uncertain.len(), "mode", "modes");
-        let at = analysis.uncertain.iter();
-        let at: Vec<String> = at.map(|mode| format!("{:.2}", mode.frequency_hz)).collect();
-        let _ = writeln!(
-            text,
-            "not listed: {modes} whose damping ratio is less than twice its standard deviation, at \
-             {} Hz",
-            at.join(", ")
-        );
-    }
-    text + &differing_text(records, analysis)
-        + &declared_text(analysis)
-        + &stiffness::text(analysis)
+    text
 }
 
 /// Names the modes whose frequency differs between recordings by more than chance.
