@@ -27,10 +27,53 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         low: 0.1,
         high: 0.14,
     };
-    let part_judged = part.clone();
-    let alert = AlertMessage {
+    let judgement = judgement(&structure, part.clone(), interval);
+    let alert = alert(&structure, part, interval);
+    let monitoring = monitoring(&structure, channel);
+    let clock = ClockChange {
         structure: structure.clone(),
-        parameter: part,
+        node: Name::new("test-node")?,
+        time_ns: TIME_NS,
+        is_wrong: true,
+        what: "TEST: the clock of the node is 3600.0 s ahead of most nodes (made up)".to_owned(),
+        why: "TEST: 2 of 3 nodes agree on another time (made up)".to_owned(),
+    };
+    let summary = Summary {
+        structure,
+        time_ns: TIME_NS,
+        cause: "TEST: maintenance by nobody (made up)".to_owned(),
+        lines: vec!["TEST: test-part raised (made up)".to_owned()],
+    };
+    let reports = [
+        Report::Alert(alert),
+        Report::Monitoring(monitoring),
+        Report::Summary(summary),
+        Report::Clock(clock),
+        Report::Judgement(judgement),
+    ];
+    let circumstances = Circumstances {
+        title: "TEST: title".to_owned(),
+        place: "TEST: place".to_owned(),
+        fit: "TEST: doubtful".to_owned(),
+        quality: "TEST: degraded; samples used in the last 5 s: test-channel 33 %".to_owned(),
+        others: vec!["TEST: other-part pending (made up)".to_owned()],
+        origin: Origin::Measured,
+        advice: "Nothing has happened: this is a test with made-up values.".to_owned(),
+        link: String::new(),
+        contact: "TEST: nobody".to_owned(),
+        runbook: String::new(),
+    };
+    let content = |report| Content {
+        is_test: true,
+        ..Content::new(report, circumstances.clone())
+    };
+    Ok(reports.into_iter().map(content).collect())
+}
+
+fn alert(structure: &Name, parameter: Name, interval: CredibleInterval) -> AlertMessage {
+    AlertMessage {
+        structure: structure.clone(),
+        parameter,
         time_ns: TIME_NS,
         state: AlertState::Raised,
         since_ns: Some(TIME_NS - 60_000_000_000),
@@ -55,8 +98,11 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
         follows_jump: false,
         undecided_because: None,
         revision: 0,
-    };
-    let display = MonitoringDisplay {
+    }
+}
+
+fn monitoring(structure: &Name, channel: Name) -> MonitoringDisplay {
+    MonitoringDisplay {
         structure: structure.clone(),
         time_ns: TIME_NS,
         measured_ns: Some(TIME_NS),
@@ -69,46 +115,7 @@ fn made_up(structure: &str) -> Result<Vec<Content>, NameError> {
             state: MonitoringState::Degraded,
             used_share: 0.33,
         }],
-    };
-    let judgement = judgement(&structure, part_judged, interval);
-    let clock = ClockChange {
-        structure: structure.clone(),
-        node: Name::new("test-node")?,
-        time_ns: TIME_NS,
-        is_wrong: true,
-        what: "TEST: the clock of the node is 3600.0 s ahead of most nodes (made up)".to_owned(),
-        why: "TEST: 2 of 3 nodes agree on another time (made up)".to_owned(),
-    };
-    let summary = Summary {
-        structure,
-        time_ns: TIME_NS,
-        cause: "TEST: maintenance by nobody (made up)".to_owned(),
-        lines: vec!["TEST: test-part raised (made up)".to_owned()],
-    };
-    let reports = [
-        Report::Alert(alert),
-        Report::Monitoring(display),
-        Report::Summary(summary),
-        Report::Clock(clock),
-        Report::Judgement(judgement),
-    ];
-    let circumstances = Circumstances {
-        title: "TEST: title".to_owned(),
-        place: "TEST: place".to_owned(),
-        fit: "TEST: doubtful".to_owned(),
-        quality: "TEST: degraded; samples used in the last 5 s: test-channel 33 %".to_owned(),
-        others: vec!["TEST: other-part pending (made up)".to_owned()],
-        origin: Origin::Measured,
-        advice: "Nothing has happened: this is a test with made-up values.".to_owned(),
-        link: String::new(),
-        contact: "TEST: nobody".to_owned(),
-        runbook: String::new(),
-    };
-    let content = |report| Content {
-        is_test: true,
-        ..Content::new(report, circumstances.clone())
-    };
-    Ok(reports.into_iter().map(content).collect())
+    }
 }
 
 fn judgement(structure: &Name, quantity: Name, interval: CredibleInterval) -> JudgementDisplay {
