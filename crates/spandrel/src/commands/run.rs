@@ -194,35 +194,16 @@ impl Plan {
         }
     }
 
-    /// Rejects a certificate that does not grant the rights that the services need.
-    async fn check_role(
-        &self,
-        bus: &Bus,
-        services: Services,
-        share: Share<'_>,
-    ) -> Result<(), AppError> {
-        let is_fused = |watched: &Watched| watched.structure.fusion().is_some();
-        let any_judged = self
-            .watched
-            .iter()
-            .any(|watched| watched.structure.judge().is_some());
-        let any_modal = self
-            .watched
-            .iter()
-            .any(|watched| watched.structure.modal().is_some());
-        let any_reported = self
-            .watched
-            .iter()
-            .any(|watched| watched.structure.earthquakes().is_some());
-        let is_filtered = |watched: &Watched| watched.structure.is_filtered();
-        let (any_fused, any_whole) = (
-            self.watched.iter().any(is_fused),
-            self.watched.iter().any(|watched| !is_fused(watched)),
-        );
-        let any_estimated = self
-            .watched
-            .iter()
-            .any(|watched| is_filtered(watched) && !is_fused(watched));
+    /// Returns the rights on the bus that the services need.
+    fn needs(&self, services: Services) -> Vec<Need> {
+        let any = |is_such: &dyn Fn(&Structure) -> bool| {
+            let mut structures = self.watched.iter().map(|watched| &watched.structure);
+            structures.any(is_such)
+        };
+        let is_fused = |structure: &Structure| structure.fusion().is_some();
+        let any_fused = any(&is_fused);
+        let any_whole = any(&|structure| !is_fused(structure));
+        let any_estimated = any(&|structure| structure.is_filtered() && !is_fused(structure));
         let wanted = [
             (self.feed.is_some(), Need::PUT_SAMPLES),
             (services.has(Service::Ingest) && any_whole, Need::PUT_FRAMES),
@@ -233,16 +214,20 @@ impl Plan {
             (services == Services::IDENTIFY && any_fused, Need::PUT_LOCAL),
             (services.has(Service::Fuse) && any_fused, Need::PUT_FEEDBACK),
             (
-                services.has(Service::Alert) && self.watched.iter().any(is_filtered),
+                services.has(Service::Alert) && any(&Structure::is_filtered),
                 Need::PUT_ALERTS,
             ),
             (
-                services.has(Service::Judge) && any_judged,
+                services.has(Service::Judge) && any(&|structure| structure.judge().is_some()),
                 Need::PUT_JUDGEMENTS,
             ),
-            (services.has(Service::Modes) && any_modal, Need::PUT_MODES),
             (
-                services.has(Service::Reports) && any_reported,
+                services.has(Service::Modes) && any(&|structure| structure.modal().is_some()),
+                Need::PUT_MODES,
+            ),
+            (
+                services.has(Service::Reports)
+                    && any(&|structure| structure.earthquakes().is_some()),
                 Need::ANSWER_REPORTS,
             ),
             (self.database.is_some(), Need::ANSWER_HISTORY),
@@ -252,11 +237,21 @@ impl Plan {
             ),
             (self.served.is_some(), Need::SHOW_A_PAGE),
         ];
-        let needs: Vec<Need> = wanted
+        wanted
             .into_iter()
             .filter(|(is_wanted, _)| *is_wanted)
             .map(|(_, need)| need)
-            .collect();
+            .collect()
+    }
+
+    /// Rejects a certificate that does not grant the rights that the services need.
+    async fn check_role(
+        &self,
+        bus: &Bus,
+        services: Services,
+        share: Share<'_>,
+    ) -> Result<(), AppError> {
+        let needs = self.needs(services);
         let structures = self
             .watched
             .iter()
