@@ -36,6 +36,37 @@ struct Around {
     rate_hz: Option<f64>,
 }
 
+impl Around {
+    /// Returns the information for these fields, which have their own times or rate or those of the
+    /// outer level.
+    fn with(&self, fields: &[Named]) -> Self {
+        let mut around = self.clone();
+        for (name, array) in fields {
+            match array {
+                Array::Numbers { values, .. } if is_one_of(name, &TIMES) && increases(values) => {
+                    around.times_s = Some(values.clone());
+                }
+                _ => {}
+            }
+            if let Some(number) = array
+                .number()
+                .filter(|number| number.is_finite() && *number > 0.0)
+            {
+                if is_one_of(name, &RATES) {
+                    around.rate_hz = Some(number);
+                } else if is_one_of(name, &STEPS) {
+                    around.rate_hz = Some(rate_from_step(number));
+                }
+            }
+        }
+        around
+    }
+}
+
+fn is_one_of(name: &str, known: &[&str]) -> bool {
+    known.contains(&name.to_ascii_lowercase().as_str())
+}
+
 /// Returns the series of all variables.
 pub(super) fn of_variables(variables: &[Named]) -> Result<Vec<RecordedChannel>, Fault> {
     let mut channels = Vec::new();
@@ -59,27 +90,7 @@ pub(super) fn of_variables(variables: &[Named]) -> Result<Vec<RecordedChannel>, 
 
 /// Collects the series of arrays on the same level.
 fn collect(fields: &[Named], outer: &Around, channels: &mut Vec<RecordedChannel>) {
-    let is_one_of =
-        |name: &str, known: &[&str]| known.contains(&name.to_ascii_lowercase().as_str());
-    let mut around = outer.clone();
-    for (name, array) in fields {
-        match array {
-            Array::Numbers { values, .. } if is_one_of(name, &TIMES) && increases(values) => {
-                around.times_s = Some(values.clone());
-            }
-            _ => {}
-        }
-        if let Some(number) = array
-            .number()
-            .filter(|number| number.is_finite() && *number > 0.0)
-        {
-            if is_one_of(name, &RATES) {
-                around.rate_hz = Some(number);
-            } else if is_one_of(name, &STEPS) {
-                around.rate_hz = Some(rate_from_step(number));
-            }
-        }
-    }
+    let around = outer.with(fields);
     for (name, array) in fields {
         let path = if around.path.is_empty() {
             name.clone()
