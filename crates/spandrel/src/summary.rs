@@ -99,6 +99,15 @@ pub struct Level {
     pub std: f64,
 }
 
+impl Level {
+    fn new(mean: f64, variance: f64) -> Self {
+        Self {
+            mean,
+            std: variance.max(0.0).sqrt(),
+        }
+    }
+}
+
 /// Final estimate of a parameter, within this record and for this structure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ParameterSummary {
@@ -444,44 +453,56 @@ impl Collector {
         self.frames
     }
 
+    /// Returns the last estimate of each parameter.
+    fn last_parameters(&self) -> Ordered<ParameterSummary> {
+        let mut parameters = Ordered::default();
+        let Some(last) = &self.last else {
+            return parameters;
+        };
+        for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
+            let Level { mean, std } = Level::new(*mean, last.variance(index).unwrap_or(0.0));
+            let estimate = ParameterEstimate {
+                time_ns: 0,
+                mean,
+                std,
+            };
+            let baseline = self.baseline.as_ref();
+            let for_this_structure =
+                baseline.and_then(|baseline| baseline.for_structure(name, &estimate));
+            let within = estimate.interval();
+            parameters.push(
+                name.clone(),
+                ParameterSummary {
+                    mean,
+                    std,
+                    within,
+                    for_this_structure,
+                },
+            );
+        }
+        parameters
+    }
+
+    /// Returns the last estimate of each adapted noise level.
+    fn last_noise(&self) -> Ordered<NoiseLevelSummary> {
+        let mut noise = Ordered::default();
+        let Some(last) = &self.last else {
+            return noise;
+        };
+        let levels = last.noise_mean.iter().zip(&last.noise_covariance);
+        for (stated, (mean, variance)) in self.noise.iter().zip(levels) {
+            noise.push(
+                stated.name.clone(),
+                stated.found(Level::new(*mean, *variance)),
+            );
+        }
+        noise
+    }
+
     /// Returns the summary.
     pub fn finish(self) -> Summary {
         let t0_ns = self.t0_ns.unwrap_or(0);
-        let level = |mean: f64, variance: f64| Level {
-            mean,
-            std: variance.max(0.0).sqrt(),
-        };
-        let (mut parameters, mut noise) = (Ordered::default(), Ordered::default());
-        if let Some(last) = &self.last {
-            for (index, (name, mean)) in self.parameters.iter().zip(&last.mean).enumerate() {
-                let Level { mean, std } = level(*mean, last.variance(index).unwrap_or(0.0));
-                let estimate = ParameterEstimate {
-                    time_ns: 0,
-                    mean,
-                    std,
-                };
-                let baseline = self.baseline.as_ref();
-                let for_this_structure =
-                    baseline.and_then(|baseline| baseline.for_structure(name, &estimate));
-                let within = estimate.interval();
-                parameters.push(
-                    name.clone(),
-                    ParameterSummary {
-                        mean,
-                        std,
-                        within,
-                        for_this_structure,
-                    },
-                );
-            }
-            for (stated, (mean, variance)) in self
-                .noise
-                .iter()
-                .zip(last.noise_mean.iter().zip(&last.noise_covariance))
-            {
-                noise.push(stated.name.clone(), stated.found(level(*mean, *variance)));
-            }
-        }
+        let (parameters, noise) = (self.last_parameters(), self.last_noise());
         let warnings = self
             .noise
             .iter()
