@@ -389,6 +389,16 @@ fn footer(
             width,
         ));
     }
+    let items = service_spans(structure);
+    if !items.is_empty() {
+        lines.extend(flow("services     ", items, width));
+    }
+    lines.extend(panel_lines(heard.nodes(name)));
+    lines
+}
+
+/// Returns the number of sensor nodes, and each of the other services.
+fn service_spans(structure: &StructureState) -> Vec<Span<'static>> {
     let mut items = Vec::new();
     let is_node = |(service, _): &(Service, Name)| *service == Service::Sensor;
     let nodes = structure
@@ -416,11 +426,7 @@ fn footer(
         };
         items.push(service_item(structure, who, instance));
     }
-    if !items.is_empty() {
-        lines.extend(flow("services     ", items, width));
-    }
-    lines.extend(panel_lines(heard.nodes(name)));
-    lines
+    items
 }
 
 /// Returns the verdict on the fit: `doubtful: the innovations are correlated over time`.
