@@ -90,15 +90,7 @@ pub(super) fn read_modal(
         .validate()
         .map_err(|error| report(&section, &error));
     for (_, frequency_hz, _) in modes.iter().flatten() {
-        let (low, high) = (settings.lowest_hz, settings.highest_hz);
-        if !(low..high).contains(frequency_hz.get_ref()) {
-            section.diagnostics().report(
-                frequency_hz.span(),
-                "modal.mode.frequency-hz",
-                format!("is {}", frequency_hz.get_ref()),
-                format!("must be within the band, {low} to {high} Hz"),
-            );
-        }
+        check_in_band(&section, &settings, frequency_hz);
     }
     section.finish();
     checked.ok()?;
@@ -121,6 +113,19 @@ pub(super) fn read_modal(
         modes: modes.collect::<Option<_>>()?,
         update,
     })
+}
+
+/// Reports the frequency of a mode outside the band.
+fn check_in_band(section: &Section<'_>, settings: &ModalSettings, frequency_hz: &Spanned<f64>) {
+    let (low, high) = (settings.lowest_hz, settings.highest_hz);
+    if !(low..high).contains(frequency_hz.get_ref()) {
+        section.diagnostics().report(
+            frequency_hz.span(),
+            "modal.mode.frequency-hz",
+            format!("is {}", frequency_hz.get_ref()),
+            format!("must be within the band, {low} to {high} Hz"),
+        );
+    }
 }
 
 /// Reads `updates` and `commissioning-epochs`.
