@@ -43,50 +43,15 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
     let names = section.names("degrees-of-freedom");
     let (mass, parts) = (mass?, parts?);
     let len = mass.to_dense().nrows();
-    let mut agree = true;
+    let mut all_fit = true;
     for (_, part) in &parts {
-        if part.matrix.nrows() != len {
-            let found = format!(
-                "has {}",
-                counted(
-                    part.matrix.nrows(),
-                    "degree of freedom",
-                    "degrees of freedom"
-                )
-            );
-            let allowed = format!("must have {len} like the mass matrix");
-            section
-                .diagnostics()
-                .report(part.span.clone(), &part.key, found, allowed);
-            agree = false;
-        }
+        all_fit &= fits(section, part, len);
     }
     let degrees_of_freedom = match names {
-        None => (1..=len).map(|number| number.to_string()).collect(),
-        Some(names) => {
-            let found = names.get_ref().len();
-            if found != len {
-                let found = format!("has {}", counted(found, "entry", "entries"));
-                let allowed = format!("must have {len}, one per degree of freedom");
-                section.diagnostics().report(
-                    names.span(),
-                    section.key("degrees-of-freedom"),
-                    found,
-                    allowed,
-                );
-                agree = false;
-            }
-            check_unique(section, "degrees-of-freedom", names.get_ref());
-            names
-                .into_inner()
-                .into_iter()
-                .map(Spanned::into_inner)
-                .collect()
-        }
+        None => Some((1..=len).map(|number| number.to_string()).collect()),
+        Some(names) => check_names(section, names, len),
     };
-    if !agree {
-        return None;
-    }
+    let degrees_of_freedom = degrees_of_freedom.filter(|_| all_fit)?;
     let substructures = parts
         .into_iter()
         .map(|(name, part)| Substructure {
@@ -116,6 +81,45 @@ pub(super) fn read_matrices(section: &mut Section<'_>) -> Option<LinearSystem> {
         return None;
     }
     Some(system)
+}
+
+/// Returns `true` if a substructure has as many degrees of freedom as the mass matrix, or reports
+/// it.
+fn fits(section: &Section<'_>, part: &Named, len: usize) -> bool {
+    let own = part.matrix.nrows();
+    if own != len {
+        let found = format!(
+            "has {}",
+            counted(own, "degree of freedom", "degrees of freedom")
+        );
+        let allowed = format!("must have {len} like the mass matrix");
+        section
+            .diagnostics()
+            .report(part.span.clone(), &part.key, found, allowed);
+    }
+    own == len
+}
+
+/// Returns the names of the degrees of freedom, or reports that their number is wrong.
+fn check_names(
+    section: &Section<'_>,
+    names: Spanned<Vec<Spanned<String>>>,
+    len: usize,
+) -> Option<Vec<String>> {
+    let found = names.get_ref().len();
+    if found != len {
+        let found = format!("has {}", counted(found, "entry", "entries"));
+        let allowed = format!("must have {len}, one per degree of freedom");
+        section.diagnostics().report(
+            names.span(),
+            section.key("degrees-of-freedom"),
+            found,
+            allowed,
+        );
+    }
+    check_unique(section, "degrees-of-freedom", names.get_ref());
+    let names = names.into_inner().into_iter().map(Spanned::into_inner);
+    (found == len).then(|| names.collect())
 }
 
 pub(super) fn read_symmetric(
