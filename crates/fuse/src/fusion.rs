@@ -8,8 +8,8 @@ use crate::error::FuseError;
 use crate::node::{Node, SILENT_FUSIONS};
 use spandrel_bus::{
     Estimate, EstimateBlock, EstimateFlags, Event, EventKind, Excluded, FeedbackMessage, Header,
-    LocalMessage, MotionNumbers, Name, NodeDisplay, OutlierDisplay, Pace, ParameterDisplay, Phase,
-    StreamState, TimeGrid, ToldMotion,
+    LocalDensity, LocalMessage, MotionNumbers, Name, NodeDisplay, OutlierDisplay, Pace,
+    ParameterDisplay, Phase, StreamState, TimeGrid, ToldMotion,
 };
 use spandrel_filter::fusion::{
     CompressedMotion, Fused, Gaussian, Lineage, LocalEstimate, NodeReport, Station,
@@ -519,36 +519,16 @@ impl Fusion {
         });
         let (index, time_ns) = (message.header.sequence, message.header.time_ns);
         if let Some(density) = message.density.take() {
-            let lineage = density.lineage.map(|lineage| Lineage {
-                own: lineage.own,
-                answers: lineage.answers,
-            });
-            // Decoding checks the shape, but a message built in code can still be invalid.
-            let Some(parameters) = Gaussian::from_triangle(&density.mean, &density.covariance)
-            else {
+            let instant = (time_ns as f64 * 1e-9) * self.rate_hz;
+            let Some(estimate) = local_estimate(density, index, instant) else {
                 *node.refused.entry("dimension").or_default() += 1;
                 return;
             };
-            let motion = density.motion.map(|told| {
-                let (mean, variance) = told.into_numbers();
-                CompressedMotion {
-                    mean: mean.into(),
-                    variance: variance.into(),
-                }
-            });
             let at = match message.pace {
                 Pace::Replayed => since_origin,
                 Pace::Live => {
                     arrived_ns.saturating_sub(begun_ns).max(0) as f64 * 1e-9 * self.rate_hz
                 }
-            };
-            let instant = (time_ns as f64 * 1e-9) * self.rate_hz;
-            let estimate = LocalEstimate {
-                index,
-                parameters,
-                lineage,
-                motion,
-                instant,
             };
             if let Err(refusal) = self.station.receive(position, estimate, at) {
                 *node.refused.entry(refusal.as_str()).or_default() += 1;
@@ -823,6 +803,31 @@ impl Fusion {
             state,
         }
     }
+}
+
+/// Returns the estimate of a node, or `None` if the sizes of its density disagree.
+///
+/// Decoding checks the sizes, but a message built in code can still be invalid.
+fn local_estimate(density: LocalDensity, index: u64, instant: f64) -> Option<LocalEstimate> {
+    let parameters = Gaussian::from_triangle(&density.mean, &density.covariance)?;
+    let lineage = density.lineage.map(|lineage| Lineage {
+        own: lineage.own,
+        answers: lineage.answers,
+    });
+    let motion = density.motion.map(|told| {
+        let (mean, variance) = told.into_numbers();
+        CompressedMotion {
+            mean: mean.into(),
+            variance: variance.into(),
+        }
+    });
+    Some(LocalEstimate {
+        index,
+        parameters,
+        lineage,
+        motion,
+        instant,
+    })
 }
 
 /// Returns the names of the channels of a node that are screened for outliers, in the order of the
