@@ -412,31 +412,61 @@ async fn time(
     let Some(first_usage) = first_usage else {
         return Err(AppError::NothingMeasured);
     };
+    let measured = Measured {
+        seconds: (to_ns - from_ns) as f64 / 1e9,
+        frames,
+        estimated,
+        alerted,
+        first_usage,
+        last_usage,
+    };
     let rate_hz = first.structure.sampling_rate_hz();
-    let seconds = (to_ns - from_ns) as f64 / 1e9;
-    let expected = watched.len() as f64 * seconds * rate_hz;
-    let groups = used_between(&first_usage, &last_usage);
-    let cpu_s: f64 = groups.values().sum();
-    let resident_mb = last_usage.first().map_or(0.0, |usage| usage.resident_mb);
-    let complete = frames as f64 / expected;
-    let estimate_latency_s = quantiles(&mut estimated);
-    Ok(Load {
-        structures: watched.len(),
-        seconds,
-        sustained: estimate_latency_s[1] < SUSTAINED_P99_S && complete > 0.99,
-        estimate_latency_s,
-        alert_latency_s: quantiles(&mut alerted),
-        complete,
-        cores: cpu_s / seconds,
-        cpu_ms_per_structure: 1e3 * cpu_s / seconds / watched.len() as f64,
-        share: groups
-            .into_iter()
-            .map(|(group, group_s)| (group, group_s / cpu_s.max(1e-9)))
-            .collect(),
-        resident_mb,
-        resident_mb_per_structure: (resident_mb - resident_before_mb).max(0.0)
-            / watched.len() as f64,
-    })
+    Ok(measured.load(watched.len(), rate_hz, resident_before_mb))
+}
+
+/// What one measurement has received, and what the processes have used.
+struct Measured {
+    /// Length of the counted time (s).
+    seconds: f64,
+    /// Number of frames whose estimates were received.
+    frames: usize,
+    /// Latencies of the estimates (s).
+    estimated: Vec<f64>,
+    /// Latencies of the progress messages of the alert service (s).
+    alerted: Vec<f64>,
+    /// Resources that each process has used before the counted time, and up to its end.
+    first_usage: Vec<Usage>,
+    last_usage: Vec<Usage>,
+}
+
+impl Measured {
+    fn load(mut self, structures: usize, rate_hz: f64, resident_before_mb: f64) -> Load {
+        let seconds = self.seconds;
+        let expected = structures as f64 * seconds * rate_hz;
+        let groups = used_between(&self.first_usage, &self.last_usage);
+        let cpu_s: f64 = groups.values().sum();
+        let last_usage = self.last_usage.first();
+        let resident_mb = last_usage.map_or(0.0, |usage| usage.resident_mb);
+        let complete = self.frames as f64 / expected;
+        let estimate_latency_s = quantiles(&mut self.estimated);
+        Load {
+            structures,
+            seconds,
+            sustained: estimate_latency_s[1] < SUSTAINED_P99_S && complete > 0.99,
+            estimate_latency_s,
+            alert_latency_s: quantiles(&mut self.alerted),
+            complete,
+            cores: cpu_s / seconds,
+            cpu_ms_per_structure: 1e3 * cpu_s / seconds / structures as f64,
+            share: groups
+                .into_iter()
+                .map(|(group, group_s)| (group, group_s / cpu_s.max(1e-9)))
+                .collect(),
+            resident_mb,
+            resident_mb_per_structure: (resident_mb - resident_before_mb).max(0.0)
+                / structures as f64,
+        }
+    }
 }
 
 /// Starts the sensors of all structures, which measure from `start_ns` on (ns since the Unix epoch,
