@@ -226,29 +226,7 @@ pub(super) fn write_end(
             put_fields(out, &statistics)
         })
     })?;
-    let summary_offset_start = end.place;
-    for offset in std::mem::take(&mut end.offsets) {
-        put(&mut end.out, op::SUMMARY_OFFSET, |out| {
-            put_fields(out, &offset)
-        })?;
-    }
-    // The checksum of the summary includes the part of the footer before the checksum itself.
-    put(&mut end.out, op::FOOTER, |out| {
-        put_fields(
-            out,
-            &Footer {
-                summary_start,
-                summary_offset_start,
-                summary_crc: 0,
-            },
-        )
-    })?;
-    end.out.truncate(end.out.len() - 4);
-    end.write(true)?;
-    let summary_crc = end.crc.clone().finalize();
-    end.out.extend(summary_crc.to_le_bytes());
-    end.out.extend(mcap::MAGIC);
-    end.write(false)?;
+    end.finish(summary_start)?;
     Ok(end.place)
 }
 
@@ -289,6 +267,33 @@ impl End<'_> {
             group_length: self.place - group_start,
         });
         Ok(())
+    }
+
+    /// Writes the places of the groups and the footer.
+    fn finish(&mut self, summary_start: u64) -> Result<()> {
+        let summary_offset_start = self.place;
+        for offset in std::mem::take(&mut self.offsets) {
+            put(&mut self.out, op::SUMMARY_OFFSET, |out| {
+                put_fields(out, &offset)
+            })?;
+        }
+        // The checksum of the summary includes the part of the footer before the checksum itself.
+        put(&mut self.out, op::FOOTER, |out| {
+            put_fields(
+                out,
+                &Footer {
+                    summary_start,
+                    summary_offset_start,
+                    summary_crc: 0,
+                },
+            )
+        })?;
+        self.out.truncate(self.out.len() - 4);
+        self.write(true)?;
+        let summary_crc = self.crc.clone().finalize();
+        self.out.extend(summary_crc.to_le_bytes());
+        self.out.extend(mcap::MAGIC);
+        self.write(false)
     }
 }
 
