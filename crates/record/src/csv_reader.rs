@@ -135,16 +135,7 @@ impl<'a> CsvReader<'a> {
                 most: MOST_COLUMNS,
             });
         }
-        let header: Vec<String> = match layout.has_header {
-            true => record
-                .iter()
-                .map(|field| String::from_utf8_lossy(field.trim_ascii()).into_owned())
-                .collect(),
-            false => (1..=record.len())
-                .map(|number| number.to_string())
-                .collect(),
-        };
-
+        let header = column_names(&record, &layout);
         let (time, columns) = locate_columns(&path, line, &header, mapping)?;
         Ok(Self {
             path,
@@ -337,6 +328,17 @@ fn unread_row(path: &Path, line: u64, limit: &RowLimit, source: csv::Error) -> R
             most: MOST_ROW_BYTES,
         },
         false => RecordError::Read { path, line, source },
+    }
+}
+
+/// Returns the names in the header, or the numbers of the columns of a table without a header.
+fn column_names(first: &ByteRecord, layout: &TableLayout) -> Vec<String> {
+    match layout.has_header {
+        true => first
+            .iter()
+            .map(|field| String::from_utf8_lossy(field.trim_ascii()).into_owned())
+            .collect(),
+        false => (1..=first.len()).map(|number| number.to_string()).collect(),
     }
 }
 
