@@ -196,34 +196,7 @@ fn read_dataset(
     if same > 0 {
         name += &format!("#{}", same + 1);
     }
-    let seconds_ns = |seconds: f64| (seconds * 1e9).round() as i64;
-    let start_ns = header.start_ns.unwrap_or(0);
-    let channel = match header.is_even {
-        true => {
-            let first_ns = start_ns.saturating_add(seconds_ns(header.first_s));
-            RecordedChannel::new(
-                name,
-                Some(rate_from_step(header.step_s)),
-                vec![Segment::new(first_ns, samples)],
-            )
-        }
-        false => {
-            let times_ns: Vec<i64> = abscissae
-                .iter()
-                .map(|time_s| start_ns.saturating_add(seconds_ns(*time_s)))
-                .collect();
-            if let Some(index) = times_ns.windows(2).position(|pair| pair[1] <= pair[0]) {
-                let found = format!("{} s after {} s", abscissae[index + 1], abscissae[index]);
-                return Err(Fault::at_byte(
-                    start,
-                    "abscissa",
-                    found,
-                    "later than the previous one",
-                ));
-            }
-            RecordedChannel::from_times(name, None, &times_ns, &samples)
-        }
-    };
+    let channel = header.channel(name, start, &abscissae, samples)?;
     let origin = if header.start_ns.is_some() {
         TimeOrigin::Epoch
     } else {
@@ -239,6 +212,45 @@ fn read_dataset(
 }
 
 impl Header {
+    /// Returns the samples with their rate or their own times. `start` is the position of the
+    /// dataset.
+    fn channel(
+        &self,
+        name: String,
+        start: usize,
+        abscissae: &[f64],
+        samples: Vec<f64>,
+    ) -> Result<RecordedChannel, Fault> {
+        let seconds_ns = |seconds: f64| (seconds * 1e9).round() as i64;
+        let start_ns = self.start_ns.unwrap_or(0);
+        match self.is_even {
+            true => {
+                let first_ns = start_ns.saturating_add(seconds_ns(self.first_s));
+                Ok(RecordedChannel::new(
+                    name,
+                    Some(rate_from_step(self.step_s)),
+                    vec![Segment::new(first_ns, samples)],
+                ))
+            }
+            false => {
+                let times_ns: Vec<i64> = abscissae
+                    .iter()
+                    .map(|time_s| start_ns.saturating_add(seconds_ns(*time_s)))
+                    .collect();
+                if let Some(index) = times_ns.windows(2).position(|pair| pair[1] <= pair[0]) {
+                    let found = format!("{} s after {} s", abscissae[index + 1], abscissae[index]);
+                    return Err(Fault::at_byte(
+                        start,
+                        "abscissa",
+                        found,
+                        "later than the previous one",
+                    ));
+                }
+                Ok(RecordedChannel::from_times(name, None, &times_ns, &samples))
+            }
+        }
+    }
+
     fn read(file: &mut Bytes<'_>) -> Result<Self, Fault> {
         let mut lines = Vec::new();
         let mut starts = Vec::new();
