@@ -171,7 +171,6 @@ impl NotifyService {
                 structures,
                 settings,
             } = plan;
-            let bus = &instance.bus;
             settings.check()?;
             let receivers: Vec<Arc<Receiver>> =
                 receivers(settings)?.into_iter().map(Arc::new).collect();
@@ -183,60 +182,7 @@ impl NotifyService {
                 wall: instance.clock,
             };
             for monitored in structures {
-                let Monitored {
-                    structure,
-                    keys,
-                    remembering,
-                } = monitored;
-                let memory = remembering
-                    .as_ref()
-                    .map(|remembering| Memory::open(&remembering.folder, keys.structure()))
-                    .transpose()?;
-                let (memory, recalled) =
-                    memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
-                let has_heard = recalled.is_some();
-                let situation = recalled
-                    .map(|recalled| service.recall(keys.structure(), recalled))
-                    .unwrap_or_default();
-                let now = service.clock.now();
-                let mut sight = Sight::new(keys.structure().clone(), settings.delays(), now);
-                sight.told = situation.told;
-                let due = now + SETTLES_AFTER;
-                let fresh = situation.fresh.into_iter().map(|alert| (alert, due));
-                service.sources.push(Source {
-                    facts: facts(monitored, settings),
-                    state: StructureState::default(),
-                    sight,
-                    origins: situation.origins,
-                    fresh: fresh.collect(),
-                    changes: VecDeque::new(),
-                    judged: LastingChanges::default(),
-                    earthquake: None,
-                    reported: Vec::new(),
-                    clocks: Clocks::new(
-                        keys.structure().clone(),
-                        structure
-                            .nodes()
-                            .iter()
-                            .filter_map(|node| Name::new(node.name()).ok())
-                            .collect(),
-                        service.outbox.wrong_clocks(keys.structure()),
-                    ),
-                    clock_changes: Vec::new(),
-                    taken: 0,
-                    simulated: bus.watch_live(keys.all_simulated()).await?,
-                    maintenance: bus
-                        .subscribe(keys.maintenance(), MAINTENANCE_WAITING)
-                        .await?,
-                    events: EventPublisher::declare(bus, keys).await?,
-                    listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS)
-                        .await?,
-                    status: instance.publish_status(Service::Notify, keys).await?,
-                    token: instance.announce(Service::Notify, keys).await?,
-                    keys: keys.clone(),
-                    memory,
-                    has_heard,
-                });
+                service.add_source(monitored, plan).await?;
             }
             let shown: Vec<String> = service
                 .receivers
@@ -250,6 +196,72 @@ impl NotifyService {
             );
             Ok(service)
         })
+    }
+
+    /// Subscribes to one more structure, and restores its notices of an earlier run.
+    async fn add_source(
+        &mut self,
+        monitored: &Monitored,
+        plan: &NotifyPlan,
+    ) -> Result<(), NotifyError> {
+        let NotifyPlan {
+            instance, settings, ..
+        } = plan;
+        let bus = &instance.bus;
+        let Monitored {
+            structure,
+            keys,
+            remembering,
+        } = monitored;
+        let memory = remembering
+            .as_ref()
+            .map(|remembering| Memory::open(&remembering.folder, keys.structure()))
+            .transpose()?;
+        let (memory, recalled) =
+            memory.map_or((None, None), |(memory, recalled)| (Some(memory), recalled));
+        let has_heard = recalled.is_some();
+        let situation = recalled
+            .map(|recalled| self.recall(keys.structure(), recalled))
+            .unwrap_or_default();
+        let now = self.clock.now();
+        let mut sight = Sight::new(keys.structure().clone(), settings.delays(), now);
+        sight.told = situation.told;
+        let due = now + SETTLES_AFTER;
+        let fresh = situation.fresh.into_iter().map(|alert| (alert, due));
+        self.sources.push(Source {
+            facts: facts(monitored, settings),
+            state: StructureState::default(),
+            sight,
+            origins: situation.origins,
+            fresh: fresh.collect(),
+            changes: VecDeque::new(),
+            judged: LastingChanges::default(),
+            earthquake: None,
+            reported: Vec::new(),
+            clocks: Clocks::new(
+                keys.structure().clone(),
+                structure
+                    .nodes()
+                    .iter()
+                    .filter_map(|node| Name::new(node.name()).ok())
+                    .collect(),
+                self.outbox.wrong_clocks(keys.structure()),
+            ),
+            clock_changes: Vec::new(),
+            taken: 0,
+            simulated: bus.watch_live(keys.all_simulated()).await?,
+            maintenance: bus
+                .subscribe(keys.maintenance(), MAINTENANCE_WAITING)
+                .await?,
+            events: EventPublisher::declare(bus, keys).await?,
+            listener: Listener::start(bus, keys.root(), Some(keys.structure()), NEEDS).await?,
+            status: instance.publish_status(Service::Notify, keys).await?,
+            token: instance.announce(Service::Notify, keys).await?,
+            keys: keys.clone(),
+            memory,
+            has_heard,
+        });
+        Ok(())
     }
 
     /// Restores the notices of an earlier run. Returns what else was known.
