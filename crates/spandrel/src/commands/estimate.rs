@@ -18,22 +18,7 @@ use tracing::warn;
 /// # Errors
 /// Returns an error if a file is not valid or cannot be written.
 pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
-    if let Some(output) = &arguments.output {
-        let inputs = [
-            Some(&arguments.structure),
-            Some(&arguments.record),
-            arguments.baseline.as_ref(),
-        ];
-        refuse_overwriting(
-            output,
-            inputs.into_iter().flatten().map(|path| path.as_path()),
-        )?;
-    }
-    if let (FilterChoice::File | FilterChoice::Kalman, Some(option)) =
-        (arguments.filter, arguments.particle.given())
-    {
-        return Err(AppError::ParticlesOnly { option });
-    }
+    check_arguments(arguments)?;
     let structure = Structure::read_with_model(&arguments.structure)?;
     let recording = open_record(&structure, &arguments.record)?;
     let baseline = arguments
@@ -101,6 +86,27 @@ pub fn run(arguments: &EstimateArguments) -> Result<(), AppError> {
     } else {
         summary.text()
     })
+}
+
+/// Refuses an output that would overwrite an input, and options of another filter.
+fn check_arguments(arguments: &EstimateArguments) -> Result<(), AppError> {
+    if let Some(output) = &arguments.output {
+        let inputs = [
+            Some(&arguments.structure),
+            Some(&arguments.record),
+            arguments.baseline.as_ref(),
+        ];
+        refuse_overwriting(
+            output,
+            inputs.into_iter().flatten().map(|path| path.as_path()),
+        )?;
+    }
+    match (arguments.filter, arguments.particle.given()) {
+        (FilterChoice::File | FilterChoice::Kalman, Some(option)) => {
+            Err(AppError::ParticlesOnly { option })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Creates the requested filter.
