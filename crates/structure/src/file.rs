@@ -614,5 +614,17 @@ fn find_name<'k>(
     found
 }
 
+/// Returns the indices of names in `known`, or reports all unknown names.
+fn find_names<'k>(
+    section: &Section<'_>,
+    key: &str,
+    names: &[Spanned<String>],
+    known: impl Iterator<Item = &'k str> + Clone,
+) -> Option<Vec<usize>> {
+    let find = |name| find_name(section, key, name, known.clone());
+    let found: Vec<_> = names.iter().map(find).collect();
+    found.into_iter().collect()
+}
+
 #[cfg(test)]
 mod tests;

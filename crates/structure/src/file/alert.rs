@@ -1,6 +1,6 @@
 //! Reads `[[alert]]`.
 
-use super::find_name;
+use super::find_names;
 use super::parameter::ParameterRead;
 use crate::alert_rule::{AlertRule, Reference};
 use crate::modes::Modes;
@@ -138,16 +138,8 @@ fn read_watched(
         return None;
     }
     let parameters = parameters?;
-    let find = |name| {
-        find_name(
-            section,
-            "parameters",
-            name,
-            parameters.iter().map(|read| read.parameter.name()),
-        )
-    };
-    let found: Vec<_> = watched.get_ref().iter().map(find).collect();
-    found.into_iter().collect()
+    let known = parameters.iter().map(|read| read.parameter.name());
+    find_names(section, "parameters", watched.get_ref(), known)
 }
 
 /// Allowed values of `reference`.

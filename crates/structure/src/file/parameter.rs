@@ -1,6 +1,6 @@
 //! Reads `[[parameter]]`.
 
-use super::{check_unique, find_name};
+use super::{check_unique, find_names};
 use crate::hysteresis::Constant;
 use crate::linear_system::{Damping, LinearSystem, Mass};
 use crate::parameter::{Parameter, Scales};
@@ -144,16 +144,8 @@ fn read_stiffness(section: &mut Section<'_>, system: Option<&LinearSystem>) -> O
         "must list the substructures whose stiffness is scaled",
     )?;
     let parts = &system?.substructures;
-    let find = |name| {
-        find_name(
-            section,
-            "of",
-            name,
-            parts.iter().map(|part| part.name.as_str()),
-        )
-    };
-    let found: Vec<_> = of.get_ref().iter().map(find).collect();
-    let indices: Vec<usize> = found.into_iter().collect::<Option<_>>()?;
+    let names = parts.iter().map(|part| part.name.as_str());
+    let indices = find_names(section, "of", of.get_ref(), names)?;
     let effect = indices.iter().any(|index| {
         parts[*index]
             .stiffness
@@ -184,13 +176,8 @@ fn read_mass(section: &mut Section<'_>, system: Option<&LinearSystem>) -> Option
             .report(of.span(), section.key("scales"), "is \"mass\"", allowed);
         return None;
     }
-    let names = || system.degrees_of_freedom.iter().map(String::as_str);
-    let found: Vec<_> = of
-        .get_ref()
-        .iter()
-        .map(|name| find_name(section, "of", name, names()))
-        .collect();
-    Some(Scales::Mass(found.into_iter().collect::<Option<_>>()?))
+    let names = system.degrees_of_freedom.iter().map(String::as_str);
+    find_names(section, "of", of.get_ref(), names).map(Scales::Mass)
 }
 
 /// Reads the scaled dashpots, or the word `all`.
@@ -215,16 +202,8 @@ fn read_damping_of(section: &mut Section<'_>, damping: Option<&Damping>) -> Opti
             .report(of.span(), section.key("scales"), "is \"damping\"", allowed);
         return None;
     };
-    let find = |name| {
-        find_name(
-            section,
-            "of",
-            name,
-            parts.iter().map(|part| part.name.as_str()),
-        )
-    };
-    let found: Vec<_> = of.get_ref().iter().map(find).collect();
-    Some(Scales::Dashpots(found.into_iter().collect::<Option<_>>()?))
+    let names = parts.iter().map(|part| part.name.as_str());
+    find_names(section, "of", of.get_ref(), names).map(Scales::Dashpots)
 }
 
 /// Scales all damping of the structure; reports zero damping.
