@@ -83,16 +83,7 @@ impl SiteFolder {
         params.distinguished_name = common_name(&format!("authority.{name}"));
         params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
         params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-        params.not_before = date_time_ymd(
-            i32::from(not_before.year()),
-            not_before.month().unsigned_abs(),
-            not_before.day().unsigned_abs(),
-        );
-        params.not_after = date_time_ymd(
-            i32::from(expires.year()),
-            expires.month().unsigned_abs(),
-            expires.day().unsigned_abs(),
-        );
+        set_life(&mut params, not_before, expires);
         let made = params.self_signed(&key);
         let certificate = made.map_err(|source| AccessError::Make {
             what: "authority",
@@ -181,16 +172,7 @@ impl SiteFolder {
             .map(|host| alternative_name(host))
             .collect::<Result<_, _>>()?;
         params.use_authority_key_identifier_extension = true;
-        params.not_before = date_time_ymd(
-            i32::from(not_before.year()),
-            not_before.month().unsigned_abs(),
-            not_before.day().unsigned_abs(),
-        );
-        params.not_after = date_time_ymd(
-            i32::from(expires.year()),
-            expires.month().unsigned_abs(),
-            expires.day().unsigned_abs(),
-        );
+        set_life(&mut params, not_before, expires);
         let made = params.signed_by(&key, &issuer);
         let certificate = made.map_err(|source| AccessError::Make {
             what: "certificate",
@@ -299,6 +281,19 @@ fn damaged(path: &Path) -> spandrel_bus::TlsError {
 
 fn today() -> Date {
     Timestamp::now().to_zoned(TimeZone::UTC).date()
+}
+
+/// Sets the first and the last day of a certificate, each at 0:00 UTC.
+fn set_life(params: &mut CertificateParams, not_before: Date, expires: Date) {
+    let midnight = |day: Date| {
+        date_time_ymd(
+            i32::from(day.year()),
+            day.month().unsigned_abs(),
+            day.day().unsigned_abs(),
+        )
+    };
+    params.not_before = midnight(not_before);
+    params.not_after = midnight(expires);
 }
 
 /// Returns the first day and the day of expiry of a certificate that is valid for `days`.
