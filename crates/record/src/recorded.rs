@@ -196,26 +196,10 @@ impl RecordedChannel {
 
     /// Returns the same channel with other samples, at another rate in Hz.
     pub(crate) fn with_samples(&self, rate_hz: f64, segments: Vec<Segment>) -> Self {
-        let Self {
-            name,
-            unit,
-            description,
-            origin,
-            start_time,
-            event_ns,
-            clock_quality,
-            ..
-        } = self.clone();
         Self {
-            name,
-            unit,
-            description,
-            origin,
-            start_time,
-            event_ns,
-            clock_quality,
             sampling_rate_hz: Some(rate_hz),
             segments,
+            ..self.clone()
         }
     }
 
