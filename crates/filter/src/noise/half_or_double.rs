@@ -74,10 +74,7 @@ impl NoiseState {
         let mut moved = std::mem::take(&mut objective.scratch.best);
         let mut limited = false;
         for l in 0..self.mean.len() {
-            let newton: f64 = (0..self.mean.len())
-                .map(|m| self.covariance[(l, m)] * objective.gradient[m])
-                .sum();
-            let free = self.mean[l] - newton;
+            let free = self.mean[l] - self.newton_step_of(l, objective);
             moved[l] = if settings.positivity_guard.is_finite() {
                 free.clamp(
                     self.mean[l] / settings.positivity_guard,

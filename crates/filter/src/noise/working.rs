@@ -30,9 +30,7 @@ impl NoiseState {
         let mut moved = std::mem::take(&mut objective.scratch.best);
         let mut limited = false;
         for l in 0..self.mean.len() {
-            let newton: f64 = (0..self.mean.len())
-                .map(|m| self.covariance[(l, m)] * objective.gradient[m])
-                .sum();
+            let newton = self.newton_step_of(l, objective);
             let largest = LARGEST_RELATIVE_STEP * self.mean[l];
             limited |= newton.abs() > largest;
             moved[l] = self.mean[l] - newton.clamp(-largest, largest);
@@ -42,6 +40,13 @@ impl NoiseState {
         self.accumulate_observed(&moved, objective);
         self.mean.copy_from(&moved);
         objective.scratch.best = moved;
+    }
+
+    /// Returns the component `l` of `Σ_ψ ∇J`.
+    pub(super) fn newton_step_of(&self, l: usize, objective: &Objective) -> f64 {
+        (0..self.mean.len())
+            .map(|m| self.covariance[(l, m)] * objective.gradient[m])
+            .sum()
     }
 
     /// Moves `ln ψ` by the score divided by the accumulated expected information, which fades by
