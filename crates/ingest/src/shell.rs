@@ -688,22 +688,36 @@ impl IngestService {
             reports.extend(rejection(report, why));
         }
         for report in reports {
-            let Some(node) = self.layout.nodes().get(report.node) else {
-                continue; // reports have the indices of the layout
+            let kind = match report.is_over {
+                true => EventKind::SamplesBack,
+                false => EventKind::SamplesDropped,
             };
-            let event = Event {
-                structure: self.keys.structure().clone(),
-                time_ns: self.last_time_ns.unwrap_or(0),
-                kind: match report.is_over {
-                    true => EventKind::SamplesBack,
-                    false => EventKind::SamplesDropped,
-                },
-                subject: node.name.to_string(),
-                what: report.what,
-                why: report.why,
-            };
-            self.events.put(&event).await?;
+            self.put_node_event(report.node, kind, report.what, report.why)
+                .await?;
         }
+        Ok(())
+    }
+
+    /// Publishes an event about the node with this index in the layout.
+    async fn put_node_event(
+        &self,
+        node: usize,
+        kind: EventKind,
+        what: String,
+        why: String,
+    ) -> Result<(), IngestError> {
+        let Some(node) = self.layout.nodes().get(node) else {
+            return Ok(()); // all reports have the indices of the layout
+        };
+        let event = Event {
+            structure: self.keys.structure().clone(),
+            time_ns: self.last_time_ns.unwrap_or(0),
+            kind,
+            subject: node.name.to_string(),
+            what,
+            why,
+        };
+        self.events.put(&event).await?;
         Ok(())
     }
 

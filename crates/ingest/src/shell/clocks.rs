@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use spandrel_bus::{Event, EventKind, Name, NodeClock};
+use spandrel_bus::{EventKind, Name, NodeClock};
 
 use super::IngestService;
 use crate::clock_watch::describe_move;
@@ -24,36 +24,17 @@ impl IngestService {
             self.handle(input).await?;
         }
         for report in reports {
-            let Some(node) = self.layout.nodes().get(report.node) else {
-                continue; // reports have the indices of the layout
+            let kind = match report.is_over {
+                true => EventKind::ClockRight,
+                false => EventKind::ClockWrong,
             };
-            let event = Event {
-                structure: self.keys.structure().clone(),
-                time_ns: self.last_time_ns.unwrap_or(0),
-                kind: match report.is_over {
-                    true => EventKind::ClockRight,
-                    false => EventKind::ClockWrong,
-                },
-                subject: node.name.to_string(),
-                what: report.what,
-                why: report.why,
-            };
-            self.events.put(&event).await?;
+            self.put_node_event(report.node, kind, report.what, report.why)
+                .await?;
         }
         for moved in moves {
-            let Some(node) = self.layout.nodes().get(moved.node) else {
-                continue; // moves have the indices of the layout
-            };
             let (what, why) = describe_move(&moved);
-            let event = Event {
-                structure: self.keys.structure().clone(),
-                time_ns: self.last_time_ns.unwrap_or(0),
-                kind: EventKind::ClockMoved,
-                subject: node.name.to_string(),
-                what,
-                why,
-            };
-            self.events.put(&event).await?;
+            self.put_node_event(moved.node, EventKind::ClockMoved, what, why)
+                .await?;
         }
         Ok(())
     }
@@ -61,19 +42,9 @@ impl IngestService {
     /// Publishes an event for each node whose source has begun to state a low quality of its clock.
     pub(super) async fn report_quality(&mut self) -> Result<(), IngestError> {
         for low in self.quality_watch.read() {
-            let Some(node) = self.layout.nodes().get(low.node) else {
-                continue; // the watch has the indices of the layout
-            };
             let (what, why) = low.describe();
-            let event = Event {
-                structure: self.keys.structure().clone(),
-                time_ns: self.last_time_ns.unwrap_or(0),
-                kind: EventKind::ClockDoubtful,
-                subject: node.name.to_string(),
-                what,
-                why,
-            };
-            self.events.put(&event).await?;
+            self.put_node_event(low.node, EventKind::ClockDoubtful, what, why)
+                .await?;
         }
         Ok(())
     }
