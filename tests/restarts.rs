@@ -556,6 +556,24 @@ fn a_stop_while_structures_start_ends_the_process() {
     assert_eq!(told[..length].trim_ascii(), b"STOPPING=1");
 }
 
+/// As the first process of a container, a program without a handler would not receive SIGTERM.
+#[test]
+fn a_stop_while_the_router_does_not_answer_ends_the_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("house.toml");
+    std::fs::write(&file, two_storeys("")).unwrap();
+    let router = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("tcp/{}", router.local_addr().unwrap());
+    let mut command = spandrel("run");
+    command
+        .arg(&file)
+        .args(["--http", "none", "--connect", &address])
+        .env("SPANDREL_STATE__FOLDER", folder.path().join("state"));
+    let process = Process::start(&mut command);
+    let _silent = router.accept().unwrap();
+    process.stop().expect_code(0);
+}
+
 /// Regression: the second process put the checkpoints of the first aside before it failed.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_second_process_in_the_same_state_folder_ends_and_refuses_no_checkpoint() {

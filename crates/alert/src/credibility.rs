@@ -127,12 +127,17 @@ pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, 
 
 /// Returns the loss against the reference with its 95 % interval.
 ///
-/// The ends are the values of L for which [`probability_of_loss`] is 0.975 and 0.025 (Fieller
-/// 1954). They are the roots q = 1 − L of (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A
+/// The interval refers to the structure, so it contains the [error of the model](MODEL_ERROR). It
+/// increases s² by (0.05·(r − m))². The rules compare losses as the model measures them, so
+/// [`probability_of_loss`] does not contain it.
+///
+/// The ends are the values of L for which [`probability_of_loss`], with this s, is 0.975 and 0.025
+/// (Fieller 1954). They are the roots q = 1 − L of (r² − z²·s_r²)·q² − 2·m·r·q + m² − z²·s² = 0. A
 /// [`Reference`] is at least three standard deviations from zero. The first coefficient is
 /// therefore positive and the interval finite. With scatter from few records, the function finds
 /// the ends numerically.
 pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
+    let estimate = &with_model_error(estimate, reference);
     if reference.scatter().is_some() {
         return loss_of_any_distribution(estimate, reference);
     }
@@ -148,6 +153,22 @@ pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> Los
         loss: 1.0 - m / r,
         low: 1.0 - (half_b + root) / a,
         high: 1.0 - (half_b - root) / a,
+    }
+}
+
+/// Standard deviation of a change as the model measures it, as a share of the change.
+///
+/// A model whose masses or damping are wrong misstates by how much a stiffness has changed. If each
+/// mass is off by up to 10 %, their standard deviation is 6 %, and the misstatement is of the same
+/// order.
+const MODEL_ERROR: f64 = 0.05;
+
+/// Returns the estimate with the error of the model in its deviation.
+fn with_model_error(estimate: &ParameterEstimate, reference: &Reference) -> ParameterEstimate {
+    let of_model = MODEL_ERROR * (reference.mean() - estimate.mean);
+    ParameterEstimate {
+        std: estimate.std.hypot(of_model),
+        ..*estimate
     }
 }
 
@@ -251,8 +272,9 @@ mod tests {
         ] {
             let reference = Reference::new(r, s_r).unwrap();
             let interval = loss_estimate(&estimate(mean, std), &reference);
-            let at_low = probability_of_loss(&estimate(mean, std), &reference, interval.low);
-            let at_high = probability_of_loss(&estimate(mean, std), &reference, interval.high);
+            let of_structure = estimate(mean, std.hypot(0.05 * (r - mean)));
+            let at_low = probability_of_loss(&of_structure, &reference, interval.low);
+            let at_high = probability_of_loss(&of_structure, &reference, interval.high);
             assert!(
                 (at_low - 0.975).abs() < 1e-12 && (at_high - 0.025).abs() < 1e-12,
                 "{at_low} {at_high}"

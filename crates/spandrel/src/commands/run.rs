@@ -436,10 +436,18 @@ pub fn run(
 ) -> Result<(), AppError> {
     let mut plan = Plan::read(arguments, services, share, page)?;
     block_on(async {
-        let bus = Bus::open(&plan.settings.bus).await?;
-        plan.check_role(&bus, services, share).await?;
         let interrupted = interrupted();
         tokio::pin!(interrupted);
+        let join = async {
+            let bus = Bus::open(&plan.settings.bus).await?;
+            plan.check_role(&bus, services, share).await?;
+            Ok::<_, AppError>(bus)
+        };
+        let bus = tokio::select! {
+            joined = join => joined?,
+            // A router that cannot be reached is waited for as long as the configuration states.
+            () = &mut interrupted => return Ok(()),
+        };
         let mut hangups = Hangups::new();
         let mut page = page.clone();
         let ended = loop {
