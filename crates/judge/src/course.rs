@@ -229,12 +229,18 @@ impl Judging {
         self.adaptive.forget(columns, structure, passed);
         self.detector.evolve(columns, structure, passed);
         let expected = Expected::new(columns, structure, &self.adaptive, &row);
-        let novelty = match () {
+        // How the day is learnt. After five days of frost, the guard returns, although the winter
+        // is still outside experience.
+        let learnt_as = match () {
             () if self.reference.is_new_frost(day) => Some(Novelty::Frost),
             () if expected.is_unknown || self.reference.is_beyond(day) => {
                 Some(Novelty::Extrapolation)
             }
             () => None,
+        };
+        let novelty = match self.reference.lacks_frost(day) {
+            true => Some(Novelty::Frost),
+            false => learnt_as,
         };
         let variance = columns.variance(&row, structure, self.adaptive.sigma);
         let (scale, z) = (expected.std, (row.y - expected.value) / expected.std);
@@ -258,7 +264,7 @@ impl Judging {
                 z,
                 scale,
                 variance,
-                novelty,
+                novelty: learnt_as,
             };
             self.learn(&row, learnt);
             self.reference.remember(day);

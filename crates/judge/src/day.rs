@@ -4,7 +4,7 @@
 //! quantity, so that the mean of a linear model is the model of the means.
 
 use crate::amplitude::{PARTS, parts};
-use crate::frost::{DAY_KNOTS, below_all};
+use crate::frost::{DAY_KNOTS, FREEZING, below_all};
 use crate::judgement::DayMeans;
 use crate::model::Explanation;
 use crate::settings::{ConditionKind, indices};
@@ -46,8 +46,11 @@ impl Day {
         self.y.exp()
     }
 
-    /// Returns the mean of min(T − T0, 0) (°C) of each temperature.
+    /// Returns the depth of frost (°C, at most 0) of each temperature: the mean of min(T − T0, 0),
+    /// or of min(T, 0) if T0 is below the freezing point. A commissioning without frost can give
+    /// any T0.
     pub(crate) fn frost(&self, knot: usize) -> impl Iterator<Item = f64> {
+        let knot = knot.max(FREEZING);
         self.below.iter().map(move |below| f64::from(below[knot]))
     }
 

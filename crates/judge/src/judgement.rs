@@ -20,8 +20,8 @@ pub enum State {
     },
     /// The quantity was judged.
     Judged,
-    /// The conditions did not occur in the commissioning. The day is not judged, and the interval
-    /// has no meaning.
+    /// The conditions did not occur in the commissioning, and are not known since then. The day is
+    /// not judged, and the interval has no meaning.
     OutsideExperience {
         /// Reason why the conditions are outside experience.
         novelty: Novelty,
@@ -51,7 +51,7 @@ impl State {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Novelty {
-    /// Fewer than five learnt days were as cold.
+    /// Fewer than five days were as cold, in the commissioning and the later winters that are over.
     Frost,
     /// The uncertainty of the expected value exceeds the scatter of a day.
     Extrapolation,
@@ -238,7 +238,8 @@ impl Judgement {
             State::Judged => format!("{name} shows no lasting change."),
             State::OutsideExperience { novelty } => match novelty {
                 Novelty::Frost => format!(
-                    "{name} is not judged, because fewer than five learnt days were as cold."
+                    "{name} is not judged, because fewer than five days of its commissioning \
+                     or of earlier winters were as cold."
                 ),
                 Novelty::Extrapolation => format!(
                     "{name} is not judged, because its value under these conditions is unknown."

@@ -15,7 +15,8 @@ use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Shortest commissioning (days) with a temperature: a season.
+/// A season (days): the shortest commissioning with a temperature, and the shortest time without
+/// frost between two winters.
 const SEASON_DAYS: i64 = 90;
 /// Smallest share of the days of the commissioning that must have data.
 const SMALLEST_SHARE: f64 = 0.5;
@@ -25,7 +26,7 @@ const SMALLEST_COVERAGE: f64 = 0.9;
 const FIRST_DAY: usize = 30;
 /// Distance of the origins from which the coverage is measured (days).
 const ORIGIN_DISTANCE: usize = 7;
-/// Number of days as cold as today that must have been learnt before a frost is judged.
+/// Number of days as cold as today that make a frost known.
 ///
 /// The hinge is a simplification. A frost may develop differently after its first day.
 pub(crate) const FROST_DAYS: usize = 5;
@@ -47,7 +48,11 @@ pub(crate) struct Reference {
     pub(crate) guard: Guard,
     pub(crate) cumulant: Cumulant,
     /// The coldest frost days that have been learnt, per temperature, in ascending order.
-    pub(crate) coldest: Vec<Vec<f64>>,
+    coldest: Vec<Vec<f64>>,
+    /// The same at the end of the commissioning, or of a later winter.
+    coldest_of_past: Vec<Vec<f64>>,
+    /// Last learnt day of frost. Without one, the first day of the commissioning.
+    last_frost_day: i64,
     /// The lowest and highest learnt values of each condition.
     extremes: Vec<Extremes>,
     /// Half of the 95 % interval of a day, in standard deviations of the model.
@@ -200,6 +205,8 @@ impl Reference {
         let (ln_threshold, performance) = calibration.run(frame.per_year(), per_stiffness);
         let mut reference = Self {
             coldest: vec![Vec::new(); columns.temperatures.len()],
+            coldest_of_past: Vec::new(),
+            last_frost_day: from_day,
             extremes: vec![Extremes::default(); explanation.count()],
             columns,
             structure,
@@ -219,6 +226,7 @@ impl Reference {
         for day in days {
             reference.remember(day);
         }
+        reference.coldest_of_past = reference.coldest.clone();
         Ok(reference)
     }
 
@@ -252,8 +260,22 @@ impl Reference {
 
     /// Returns `true` if fewer than five learnt days were as cold as this one.
     pub(crate) fn is_new_frost(&self, day: &Day) -> bool {
+        self.exceeds(day, &self.coldest)
+    }
+
+    /// Returns `true` if fewer than five days were as cold as this one, in the commissioning and the
+    /// winters that are over.
+    ///
+    /// The present winter does not count. Ice grows as long as a frost lasts, so that a later day
+    /// can have more of it without being colder.
+    pub(crate) fn lacks_frost(&self, day: &Day) -> bool {
+        self.exceeds(day, &self.coldest_of_past)
+    }
+
+    /// Returns `true` if it is a day of frost and fewer than five of the `coldest` were as cold.
+    fn exceeds(&self, day: &Day, coldest: &[Vec<f64>]) -> bool {
         let frost = day.frost(self.structure.knot);
-        frost.zip(&self.coldest).any(|(depth, coldest)| {
+        frost.zip(coldest).any(|(depth, coldest)| {
             depth < -FROST_DEPTH
                 && coldest
                     .get(FROST_DAYS - 1)
@@ -261,12 +283,13 @@ impl Reference {
         })
     }
 
-    /// Returns `true` if the learnt days include five of frost, for every temperature.
+    /// Returns `true` if the commissioning and the winters that are over include five days of frost,
+    /// for every temperature.
     pub(crate) fn knows_frost(&self) -> bool {
         let is_frost = |depth: &f64| *depth < -FROST_DEPTH;
         let enough =
             |coldest: &Vec<f64>| coldest.iter().filter(|d| is_frost(d)).count() >= FROST_DAYS;
-        self.coldest.iter().all(enough)
+        self.coldest_of_past.iter().all(enough)
     }
 
     /// Returns `true` if fewer than five learnt days had a condition like that of this day.
@@ -278,6 +301,12 @@ impl Reference {
     /// Counts a learnt day among the coldest and among the extremes.
     pub(crate) fn remember(&mut self, day: &Day) {
         let depths: Vec<f64> = day.frost(self.structure.knot).collect();
+        if day.number - self.last_frost_day >= SEASON_DAYS {
+            self.coldest_of_past.clone_from(&self.coldest);
+        }
+        if depths.iter().any(|depth| *depth < -FROST_DEPTH) {
+            self.last_frost_day = day.number;
+        }
         for (coldest, depth) in self.coldest.iter_mut().zip(depths) {
             let place = coldest.partition_point(|known| *known <= depth);
             coldest.insert(place, depth);

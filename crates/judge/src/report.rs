@@ -37,8 +37,8 @@ pub struct ReferenceReport {
     pub frost_knot: Option<f64>,
     /// r0 of each amplitude, in its unit: the quantity depends on the amplitude above it only.
     pub amplitude_hinges: Vec<f64>,
-    /// Whether the commissioning contained at least five days of frost, if a condition is a
-    /// temperature.
+    /// Whether the commissioning, with the later winters that are over, contained at least five
+    /// days of frost, if a condition is a temperature.
     pub knows_frost: Option<bool>,
     /// Coefficients: at zero, per unit of each condition, and per degree of frost.
     pub coefficients: Vec<f64>,

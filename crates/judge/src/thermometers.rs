@@ -10,7 +10,7 @@
 //! therefore 2/3 of that of the quantity.
 
 use crate::course::{Course, Frame, has_grown};
-use crate::judgement::{Absence, Change, Finding, Judgement, State};
+use crate::judgement::{Absence, Change, Finding, Judgement, Novelty, State};
 use crate::reference::{Missing, Reference};
 use crate::settings::{Quantity, Settings};
 use serde::{Deserialize, Serialize};
@@ -181,6 +181,10 @@ impl Comparison {
         self.silent_days = match judgement.state {
             // From the day on which its commissioning ends, the course has a say.
             State::Judged | State::Learning { days_left: 0 } => 0,
+            // A first winter silences all courses. The first one after it would decide alone.
+            State::OutsideExperience {
+                novelty: Novelty::Frost,
+            } => self.silent_days,
             _ => self.silent_days.saturating_add(1),
         };
         if let Some(means) = &mut judgement.means {

@@ -48,7 +48,8 @@ pub struct CourseReference {
     pub coverage: f64,
     /// Standard deviation of a day under known conditions, as a share of the value.
     pub scatter: f64,
-    /// Whether the commissioning contained five days of frost. `None` without a temperature.
+    /// Whether the commissioning, with the later winters that are over, contained five days of
+    /// frost. `None` without a temperature.
     pub knows_frost: Option<bool>,
     /// Budget of this quantity: false alarms per year.
     pub promised_per_year: f64,

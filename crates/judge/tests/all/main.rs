@@ -8,6 +8,7 @@
 )]
 
 mod amplitude;
+mod frost;
 mod inertia;
 mod lasting;
 mod state;
