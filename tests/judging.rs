@@ -428,7 +428,7 @@ async fn a_loss_after_a_year_is_found_across_a_kill_and_as_offline_bit_for_bit()
     assert!(last.measured);
     assert!(
         last.sentence.starts_with("storey-1 has lost ")
-            && last.sentence.contains(" % of stiffness ["),
+            && last.sentence.contains(" % of stiffness (95 % interval "),
         "{}",
         last.sentence
     );

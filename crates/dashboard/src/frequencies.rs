@@ -89,7 +89,7 @@ pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
     concerns
 }
 
-/// Returns the sentence of a lasting change, with what its brackets mean and how old it is.
+/// Returns the sentence of a lasting change, and how old it is.
 fn lasting(store: &Store, judgement: &JudgementDisplay) -> String {
     let sentence = judgement.sentence.trim_end_matches('.');
     let since_epoch = store
@@ -103,10 +103,7 @@ fn lasting(store: &Store, judgement: &JudgementDisplay) -> String {
                 _ => format!("; last epoch {} h before the newest data", minutes / 60),
             }
         });
-    format!(
-        "lasting change (95 % interval in brackets): {sentence}{}",
-        since_epoch.unwrap_or_default()
-    )
+    sentence.to_owned() + &since_epoch.unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -153,8 +150,8 @@ mod tests {
     /// Returns the sentence of a loss whose last epoch ended `minutes` before the newest data.
     fn told(quantity: &str, minutes: u32) -> String {
         format!(
-            "lasting change (95 % interval in brackets): {quantity} has lost 5.0 % of stiffness \
-             [4.0, 6.0]; last epoch {minutes} min before the newest data"
+            "{quantity} has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %); last epoch \
+             {minutes} min before the newest data"
         )
     }
 

@@ -165,7 +165,7 @@ mod tests {
             ("acknowledged_by", Value::Null),
             (
                 "why",
-                json!("storey-2 has lost 5.0 % of stiffness [4.0, 6.0]."),
+                json!("storey-2 has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %)."),
             ),
         ] {
             assert_eq!(alert[field], expected, "{field}");

@@ -104,7 +104,7 @@ pub(crate) fn lasting_loss(quantity: &str) -> JudgementDisplay {
             interval: interval(0.04, 0.06),
         }),
         seen: None,
-        sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
+        sentence: format!("{quantity} has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %)."),
         expectation: Some(DayExpectation {
             measured: 0.95,
             expected: 1.0,

@@ -198,35 +198,37 @@ impl Judgement {
         if let Some(finding) = &self.finding {
             let change = finding.change();
             let [low, high] = change.interval.map(|share| 100.0 * share);
+            let interval = format!("(95 % interval {low:.1} to {high:.1} %)");
+            let of_gain = format!("(95 % interval {:.1} to {:.1} %)", -high, -low);
             let since = date(change.since_day);
             let loss = 100.0 * change.loss;
             return match finding {
                 Finding::LastingLoss(_) if change.may_have_recovered => format!(
                     "{name} lost stiffness, most probably since {since}, and may have recovered: \
-                     its present loss is {loss:.1} % [{low:.1}, {high:.1}]."
+                     its present loss is {loss:.1} % {interval}."
                 ),
                 // Uncertain against the commissioning, such as after a gain.
                 Finding::LastingLoss(_) if low <= 0.0 => format!(
                     "{name} has lost stiffness, most probably since {since}. Its loss since the \
-                     commissioning is {loss:.1} % [{low:.1}, {high:.1}]."
+                     commissioning is {loss:.1} % {interval}."
                 ),
                 Finding::LastingLoss(_) => format!(
-                    "{name} has lost {loss:.1} % of stiffness [{low:.1}, {high:.1}], most probably \
-                     since {since}."
+                    "{name} has lost {loss:.1} % of stiffness {interval}, most probably since \
+                     {since}."
                 ),
                 Finding::LearnedAway(_) => format!(
                     "The learnt reference of {name} has drifted away: the present loss of \
-                     stiffness since the commissioning is {loss:.1} % [{low:.1}, {high:.1}]."
+                     stiffness since the commissioning is {loss:.1} % {interval}."
                 ),
                 Finding::Stiffer(_) if high >= 0.0 => format!(
                     "{name} gained stiffness, most probably since {since}. Its present gain is \
-                     {:.1} % [{:.1}, {:.1}].",
-                    -loss, -high, -low
+                     {:.1} % {of_gain}.",
+                    -loss
                 ),
                 Finding::Stiffer(_) => format!(
-                    "{name} has gained {:.1} % of stiffness [{:.1}, {:.1}], most probably since \
+                    "{name} has gained {:.1} % of stiffness {of_gain}, most probably since \
                      {since}.",
-                    -loss, -high, -low
+                    -loss
                 ),
             };
         }
@@ -309,7 +311,7 @@ mod tests {
         assert_eq!(
             sentence(Finding::LastingLoss(recovered), 20_700),
             "bending lost stiffness, most probably since 2025-10-24, and may have recovered: its \
-             present loss is 0.5 % [-1.0, 2.0]."
+             present loss is 0.5 % (95 % interval -1.0 to 2.0 %)."
         );
         let uncertain = Change {
             interval: [-0.002, 0.05],
@@ -318,16 +320,18 @@ mod tests {
         assert_eq!(
             sentence(Finding::LastingLoss(uncertain), 20_390),
             "bending has lost stiffness, most probably since 2025-10-24. Its loss since the \
-             commissioning is 2.4 % [-0.2, 5.0]."
+             commissioning is 2.4 % (95 % interval -0.2 to 5.0 %)."
         );
         for day in [20_385, 20_386, 20_414] {
             assert_eq!(
                 sentence(Finding::LastingLoss(change(0.052)), day),
-                "bending has lost 5.2 % of stiffness [4.2, 6.2], most probably since 2025-10-24."
+                "bending has lost 5.2 % of stiffness (95 % interval 4.2 to 6.2 %), most probably \
+                 since 2025-10-24."
             );
             assert_eq!(
                 sentence(Finding::Stiffer(change(-0.052)), day),
-                "bending has gained 5.2 % of stiffness [4.2, 6.2], most probably since 2025-10-24."
+                "bending has gained 5.2 % of stiffness (95 % interval 4.2 to 6.2 %), most probably \
+                 since 2025-10-24."
             );
         }
     }

@@ -659,8 +659,8 @@ mod tests {
             "epoch_ns":8,"epochs":96,"measured":true,"state":"judged","change":
             {"kind":"lasting-loss","found_ns":0,"since_ns":0,"loss":0.05,
             "interval":{"level":0.95,"low":0.04,"high":0.06}},
-            "sentence":"storey-1 has lost 5.0 % of stiffness [4.0, 6.0].","expectation":null,
-            "false_alarms_per_year":0.1}"#;
+            "sentence":"storey-1 has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %).",
+            "expectation":null,"false_alarms_per_year":0.1}"#;
         let open = |text: &str| {
             let display: JudgementDisplay = serde_json::from_str(text).unwrap();
             let mut state = StructureState::default();
@@ -669,7 +669,7 @@ mod tests {
         };
         assert_eq!(
             open(text),
-            ["storey-1 has lost 5.0 % of stiffness [4.0, 6.0]"]
+            ["storey-1 has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %)"]
         );
         assert!(open(&text.replace("lasting-loss", "stiffer")).is_empty());
     }

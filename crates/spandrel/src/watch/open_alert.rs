@@ -233,9 +233,10 @@ mod tests {
             lines,
             [
                 "2024-02-29 12:00:00 UTC alert tower/storey-2 (lasting loss) raised: storey-2 has \
-                 lost 5.0 % of stiffness [4.0, 6.0].",
+                 lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %).",
                 "2024-02-29 12:00:01 UTC alert tower/storey-2 (lasting loss) acknowledged: \
-                 storey-2 has lost 5.0 % of stiffness [4.0, 6.0]. Acknowledged by anna: on my way",
+                 storey-2 has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %). Acknowledged \
+                 by anna: on my way",
                 "2024-02-29 12:00:00 UTC alert tower/storey-2 (lasting loss) cleared: storey-2 is \
                  in its commissioning.",
             ]

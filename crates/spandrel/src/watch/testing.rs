@@ -155,7 +155,7 @@ pub fn lasting_loss(quantity: &str) -> JudgementDisplay {
             },
         }),
         seen: None,
-        sentence: format!("{quantity} has lost 5.0 % of stiffness [4.0, 6.0]."),
+        sentence: format!("{quantity} has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %)."),
         expectation: None,
         false_alarms_per_year: 0.1,
         spent: None,

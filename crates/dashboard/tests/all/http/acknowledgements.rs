@@ -125,8 +125,8 @@ fn lasting_loss() -> JudgementDisplay {
     let text = r#"{"structure":"demo","quantity":"storey-2","time_ns":9,"day_ns":0,"epoch_ns":8,
         "epochs":96,"measured":true,"state":"judged","change":{"kind":"lasting-loss","found_ns":0,
         "since_ns":0,"loss":0.05,"interval":{"level":0.95,"low":0.04,"high":0.06}},
-        "sentence":"storey-2 has lost 5.0 % of stiffness [4.0, 6.0].","expectation":null,
-        "false_alarms_per_year":0.1}"#;
+        "sentence":"storey-2 has lost 5.0 % of stiffness (95 % interval 4.0 to 6.0 %).",
+        "expectation":null,"false_alarms_per_year":0.1}"#;
     serde_json::from_str(text).unwrap()
 }
 
