@@ -89,7 +89,7 @@ pub(crate) fn concerns(store: &Store) -> Vec<(Level, String)> {
     concerns
 }
 
-/// Returns the sentence of a lasting change, and how old it is.
+/// Returns the sentence of a lasting change, who has acknowledged it, and how old it is.
 fn lasting(store: &Store, judgement: &JudgementDisplay) -> String {
     let sentence = judgement.sentence.trim_end_matches('.');
     let since_epoch = store
@@ -103,7 +103,15 @@ fn lasting(store: &Store, judgement: &JudgementDisplay) -> String {
                 _ => format!("; last epoch {} h before the newest data", minutes / 60),
             }
         });
-    sentence.to_owned() + &since_epoch.unwrap_or_default()
+    let seen = judgement.seen.as_ref().map(|seen| {
+        let note = match seen.text.as_str() {
+            "" => String::new(),
+            text => format!(": {text}"),
+        };
+        format!("; acknowledged by {}{note}", seen.who)
+    });
+    let more = [seen, since_epoch].into_iter().flatten();
+    sentence.to_owned() + &more.collect::<String>()
 }
 
 #[cfg(test)]
@@ -234,7 +242,9 @@ mod tests {
             seen: Some(seen),
             ..changed.clone()
         }));
-        assert_eq!(found(&store), (Level::Notice, told("sway-1", 0)));
+        let seen = "; acknowledged by Ada: new asphalt; last epoch";
+        let acknowledged = told("sway-1", 0).replace("; last epoch", seen);
+        assert_eq!(found(&store), (Level::Notice, acknowledged));
         assert_eq!(overview(&store).acknowledged, 1);
         store.handle(Input::Judgement(JudgementDisplay {
             change: None,
