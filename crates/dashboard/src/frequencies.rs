@@ -121,6 +121,7 @@ mod tests {
     use crate::testing::{
         alert, at, demo_with_air, hear, lasting_loss, mode, present, sensors_only,
     };
+    use crate::view::AlertKind;
     use spandrel_bus::{
         ChangeSeen, Header, JudgementDisplay, ModeDisplay, ModeEstimate, Name, Progress, Service,
         ShapeValue,
@@ -218,6 +219,11 @@ mod tests {
         assert_eq!(found(&store), (Level::Alarm, told("storey-2", 2)));
         let overview = overview(&store);
         assert_eq!((overview.raised, &*overview.also), (1, ""));
+        let last = overview.last_alert.unwrap();
+        assert_eq!(
+            (last.kind, &*last.parameter, last.state),
+            (AlertKind::LastingLoss, "storey-2", AlertState::Raised)
+        );
         // The alert of a rule comes first, and the lasting loss remains visible.
         let raised = alert("storey-2", 580_000_000_000, AlertState::Raised);
         store.handle(Input::Alert(raised.clone()));

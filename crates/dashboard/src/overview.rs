@@ -3,7 +3,7 @@
 use crate::frequencies;
 use crate::sensors::{SensorHealth, SensorState, sensor_states};
 use crate::store::{Change, Store};
-use crate::view::present_loss;
+use crate::view::{AlertKind, present_loss};
 use serde::Serialize;
 use spandrel_bus::{
     AlertMessage, AlertState, Event, EventKind, FitVerdict, LossDisplay, MonitoringDisplay,
@@ -127,9 +127,11 @@ pub(crate) struct SensorCount {
     pub(crate) doubtful: Vec<String>,
 }
 
-/// Last change of an alert to a state that is more than routine.
+/// Last change of an alert or a lasting loss to a state that is more than routine.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct LastAlert {
+    pub(crate) kind: AlertKind,
+    /// The parameter of a rule, or the judged quantity.
     pub(crate) parameter: String,
     pub(crate) state: AlertState,
     pub(crate) time_s: f64,
@@ -227,14 +229,6 @@ pub(crate) fn overview(store: &Store) -> Overview {
         undecided: is_in(display, AlertState::Undecided),
         unconfirmed: is_in(display, AlertState::Unconfirmed),
     });
-    let is_alert = |change: &&Change| !is_routine(change.alert.state);
-    let last_change = store.changes.iter().find(is_alert);
-    let last_alert = last_change.map(|Change { alert, time_ns }| LastAlert {
-        parameter: alert.parameter.to_string(),
-        state: alert.state,
-        time_s: *time_ns as f64 / 1e9,
-        why: alert.why.clone(),
-    });
     let lasting = |state| frequencies::lasting_losses(store, state).count();
     let raised = unseen(store).count() + lasting(AlertState::Raised);
     let acknowledged = alerts_in(store, AlertState::Acknowledged)
@@ -264,11 +258,35 @@ pub(crate) fn overview(store: &Store) -> Overview {
         sensors,
         fit: store.state.fit.as_ref().map(|fit| fit.verdict),
         monitoring: store.state.monitoring().map(|display| display.state),
-        last_alert,
+        last_alert: last_alert(store),
         earthquake: earthquake(store),
         raised,
         acknowledged,
     }
+}
+
+/// Returns the newest of the changes of alerts and of lasting losses that are more than routine.
+fn last_alert(store: &Store) -> Option<LastAlert> {
+    let is_alert = |change: &&Change| !is_routine(change.alert.state);
+    let of_rule = store.changes.iter().find(is_alert);
+    let of_rule = of_rule.map(|Change { alert, time_ns }| LastAlert {
+        kind: AlertKind::Rule,
+        parameter: alert.parameter.to_string(),
+        state: alert.state,
+        time_s: *time_ns as f64 / 1e9,
+        why: alert.why.clone(),
+    });
+    let losses = store.loss_changes.iter();
+    let of_loss = losses.max_by_key(|change| change.time_ns);
+    let of_loss = of_loss.map(|change| LastAlert {
+        kind: AlertKind::LastingLoss,
+        parameter: change.quantity.to_string(),
+        state: change.state,
+        time_s: change.time_ns as f64 / 1e9,
+        why: change.sentence.clone(),
+    });
+    let both = [of_rule, of_loss].into_iter().flatten();
+    both.max_by(|a, b| a.time_s.total_cmp(&b.time_s))
 }
 
 fn is_stiffness(store: &Store, name: &str) -> bool {

@@ -168,6 +168,7 @@ async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
     judgements.put(&lasting_loss()).await.unwrap();
     let found = site.wait("an alarm", |found| found["raised"] == 1).await;
     assert_eq!(found["level"], "alarm");
+    assert_eq!(found["last_alert"]["kind"], "lasting-loss");
     let alerts = site.get("/api/alerts?state=raised").await.json();
     let alert = &alerts["standing"][0];
     assert_eq!(
