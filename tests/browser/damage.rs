@@ -375,13 +375,15 @@ async fn the_alert_is_acknowledged_by_keyboard(browser: &mut Browser) {
     let seen = browser
         .evaluate(
             "document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] \
-                   .seen').textContent",
+                   .when').textContent",
         )
         .await;
     // Regression: it had the time of the data. The sentence has the name and the note.
     let seen = seen.as_str().unwrap();
+    let (raised, seen) = seen.split_once(" · ").expect("both times");
+    assert!(raised.starts_with("raised 20"), "{raised}");
     assert!(
-        seen.starts_with("Acknowledged 20") && seen.ends_with(" UTC"),
+        seen.starts_with("acknowledged 20") && seen.ends_with(" UTC"),
         "{seen}"
     );
     let sentence = "document.querySelector('.alerts:not(.past) .alert[data-state=acknowledged] \

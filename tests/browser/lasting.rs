@@ -148,6 +148,7 @@ async fn the_loss_is_listed_among_the_alerts(browser: &mut Browser) {
     let year = "'#/structure/demo/lasting?quantity=storey-1'";
     let listed = format!(
         "/storey-1 [(]lasting loss[)]/.test({card}?.textContent) \
+         && /^raised 2025-1.-..$/.test({card}.querySelector('.when').textContent) \
          && {card}.querySelector('a.button').hash === {year}"
     );
     browser.wait("the loss among the alerts", &listed).await;

@@ -67,7 +67,7 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
                   !one.hidden).map((one) => one.textContent)";
     assert_eq!(
         browser.evaluate(badges).await,
-        json!(["● Notice", "■ record has ended"])
+        json!(["● Acknowledged", "■ record has ended"])
     );
     browser.screenshot("acknowledged-without-data").await;
     // Regression: the state of an alarm filled the window of a phone on each tab.

@@ -102,11 +102,7 @@ async fn repeated_changes_of_a_part_and_equal_reasons_share_one_entry() {
         json!([
             ["storey-1", "storey-2, storey-10", "earthquake"],
             [
-                [
-                    "2020-09-13 12:42:40 UTC",
-                    "● alert acknowledged",
-                    "Acknowledged 2020-09-13 12:42:40 UTC"
-                ],
+                ["2020-09-13 12:42:40 UTC", "● alert acknowledged", ""],
                 ["2020-09-13 12:26:40 UTC", "✓ back to normal", ""],
                 [
                     "2020-09-13 12:26:40 UTC",

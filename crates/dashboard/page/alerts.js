@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, changedAt, isLasting, judged, keyOfAlert, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, withMinus, wordOf } from "./words.js";
+import { SERVICES, STATES, canBeSeen, changedAt, isLasting, judged, keyOfAlert, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, timeOfAlert, whenWords, withMinus, wordOf } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement or note. */
 export const NAME_KEY = "spandrel-name";
@@ -83,7 +83,10 @@ export class AlertsPage {
       (!this.structure.value || alert.structure === this.structure.value) &&
       (!this.state.value || alert.state === this.state.value) &&
       (!this.text.value || `${alert.parameter} ${alert.why} ${alert.acknowledged_by ?? ""} ${alert.note ?? ""}`.toLowerCase().includes(this.text.value.toLowerCase()));
-    const standing = this.answer.standing.filter(isAsked).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.changed_ns - a.changed_ns || natural(a.parameter, b.parameter));
+    const raised = (alert) => this.answer.changes.find((change) => change.state === "raised" && keyOfAlert(change) === keyOfAlert(alert));
+    // A lasting loss keeps the day on which it was found.
+    const withRaised = (alert) => ({ ...alert, raised_ns: isLasting(alert) ? alert.changed_ns : raised(alert)?.changed_ns });
+    const standing = this.answer.standing.filter(isAsked).map(withRaised).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.changed_ns - a.changed_ns || natural(a.parameter, b.parameter));
     const all = this.answer.changes.filter(isAsked);
     const changes = all.slice(0, MOST_CHANGES);
     this.left.hidden = all.length <= MOST_CHANGES;
@@ -141,13 +144,13 @@ class AlertList {
     updateAlert(newest, changes[0]);
     const first = changes.at(-1);
     folded.hidden = changes.length === 1;
-    const [word, since] = [STATES[first.state].word, time(changedAt(first))];
+    const [word, since] = [STATES[first.state].word, timeOfAlert(first, changedAt(first))];
     setText(title, changes.length === 2 ? t("changed-once", word, since) : t("changed-times", word, since, changes.length - 1));
     keyed(list, changes.slice(1), key, () => this.#make(), updateAlert);
   }
 
   #make() {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("time"), link: h("a", { class: "button small" }), help: makeHelp() };
+    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("span", { class: "when" }), link: h("a", { class: "button small" }), help: makeHelp() };
     parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }) : null;
     parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, parts.revised, parts.help.element, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
@@ -221,7 +224,7 @@ function updateAlert(parts, alert) {
   else setSentence(parts.why, alert.why);
   parts.now.hidden = !alert.now || isNormal;
   setText(parts.now, alert.now ? t("by-the-newest-value", withMinus(alert.now)) : "");
-  setText(parts.when, time(changedAt(alert)));
+  setSentence(parts.when, whenWords(alert));
   for (const [line, text] of [[parts.seen, seenWords(alert)], [parts.revised, revisedWords(alert)]]) {
     setText(line, text);
     line.hidden = !text;

@@ -232,6 +232,7 @@ export const english = {
   "later": "later",
   "later-days-in-the-95-per-cent": "Later days in the 95 % interval",
   "latest-report": "Latest report",
+  "level-acknowledged": "Acknowledged",
   "level-alarm": "Alarm",
   "level-learning": "Learning",
   "level-normal": "Normal",

@@ -6,7 +6,7 @@ import { NO_REPLY, fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } fro
 import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
 import { DAY_S, Span } from "./span.js";
-import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, isLasting, judged, keyOfAlert, natural, place, revisedWords, seenWords, setSentence, stateWords, time, waveformsOf } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, isLasting, judged, keyOfAlert, natural, place, revisedWords, seenWords, setSentence, stateWords, time, timeOfAlert, waveformsOf } from "./words.js";
 import { longestRange } from "./waveforms.js";
 
 /** Kinds of events that the list can be limited to. */
@@ -141,12 +141,12 @@ export class EventsTab {
       const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
       const what = change.state !== "normal" ? t("alert-became", sign, word) : returned.has(change) ? t("back-to-normal", sign) : `${sign} ${word}`;
       const more = [seenWords(change), revisedWords(change)].filter(Boolean).join(". ");
-      return { key: `${change.kind}/${about}/${change.state}`, time_ns: 1e9 * changedAt(change), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isLasting: isLasting(change), isAlert: true, isUrgent: LISTED.includes(change.state) };
+      return { key: `${change.kind}/${about}/${change.state}`, time_ns: 1e9 * changedAt(change), when: timeOfAlert(change, changedAt(change)), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isLasting: isLasting(change), isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => {
       const isReport = kind === "earthquake-report";
       const level = (isReport && URGENCIES[what.split(": ")[1]]) || "learning";
-      return { key: `${subject}/${what}`, time_ns, what, ...eventWords({ kind, subject, why }), level, parameter: null, report: isReport ? subject : null };
+      return { key: `${subject}/${what}`, time_ns, when: time(time_ns / 1e9), what, ...eventWords({ kind, subject, why }), level, parameter: null, report: isReport ? subject : null };
     };
     // A sensor that fails makes many parts undecided at once, for the same reason.
     const reason = ({ kind, parameter, state, changed_ns: at, why }) => (state === "undecided" ? `${Math.floor(at / 1e9)} ${why.replaceAll(parameter, "")}` : `${at} ${kind} ${parameter} ${state}`);
@@ -193,7 +193,7 @@ export class EventsTab {
     this.page.changed();
   }
 
-  #make({ time_ns, measured_ns: measured, about, what, level, parameter, isLasting: isOfYear, report: made }) {
+  #make({ time_ns, when, measured_ns: measured, about, what, level, parameter, isLasting: isOfYear, report: made }) {
     // The plots and the samples have the measurement time, also of an acknowledgement.
     const at = (measured ?? time_ns) / 1e9;
     const [why, more] = [h("p", { class: "why", lang: SERVICES }), h("p", { class: "why" })];
@@ -212,7 +212,7 @@ export class EventsTab {
     const samples = structure.distributed ? null : h("details", { class: "samples-of" }, h("summary", {}, t("samples")), samplesExport(of, around, `${about}, ${time(at)}`), motion);
     const name = h("strong", { lang: parameter ? null : SERVICES });
     setText(name, parameter ? what : capitalised(what));
-    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, time(time_ns / 1e9))), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "row-actions" }, h("div", { class: "buttons" }, read, show), samples))), why, more };
+    return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, when)), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "row-actions" }, h("div", { class: "buttons" }, read, show), samples))), why, more };
   }
 }
 

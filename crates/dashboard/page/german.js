@@ -232,6 +232,7 @@ export const german = {
   "later": "später",
   "later-days-in-the-95-per-cent": "Spätere Tage im 95-%-Intervall",
   "latest-report": "Letzter Bericht",
+  "level-acknowledged": "Quittiert",
   "level-alarm": "Alarm",
   "level-learning": "Lernt",
   "level-normal": "Normal",

@@ -3,7 +3,7 @@
 
 import { h, s } from "./dom.js";
 import { fixed, t } from "./language.js";
-import { LEVELS } from "./words.js";
+import { attentionWords } from "./words.js";
 
 /** Smallest number of structures with coordinates for which a map is useful. */
 const FEWEST = 2;
@@ -138,14 +138,15 @@ function placeNames(sites, width) {
 /** Draws a structure as a link to its page. Its name is shown if there is room, or on focus. */
 function sign({ structure, x, y }, box) {
   const { name, level, sentence } = structure;
+  const { sign: shape, word } = attentionWords(structure);
   const place = box ?? { left: x + RADIUS + 4, top: y - NAME / 2 };
-  const words = `${name}: ${LEVELS[level].word}. ${sentence}`;
+  const words = `${name}: ${word}. ${sentence}`;
   return s(
     "a",
     { href: `#/structure/${encodeURIComponent(name)}`, class: box ? "site" : "site is-crowded", "data-level": level, "data-name": name, "aria-label": words },
     s("title", {}, words),
     s("circle", { cx: x, cy: y, r: RADIUS }),
-    s("text", { class: "site-sign", x, y: y + 4 }, LEVELS[level].sign),
+    s("text", { class: "site-sign", x, y: y + 4 }, shape),
     s("text", { class: "site-name", x: place.left, y: place.top + NAME - 3 }, name),
   );
 }

@@ -6,7 +6,7 @@ import { language, t } from "./language.js";
 import { StructureMap } from "./map.js";
 import { searchField } from "./search.js";
 import { Sparklines } from "./sparklines.js";
-import { HEALTH, LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, duration, fitWord, lag, natural, percent, place, probability, ratio, rememberFilters, setSentence, time, withMinus, wordOf } from "./words.js";
+import { HEALTH, LEVELS, SEARCH_ABOVE, SERVICES, STATES, URGENCIES, attentionWords, duration, fitWord, lag, natural, percent, place, probability, ratio, rememberFilters, setSentence, stateWords, time, timeOfAlert, withMinus, wordOf } from "./words.js";
 
 /** Maximum number of sensors that a card names. */
 const MOST_SENSORS = 4;
@@ -61,7 +61,7 @@ export class OverviewPage {
     this.heads.hidden = !isMany;
     // Few cards fit on a screen, and the first alarm must be on it. Many are found on the map first.
     if (isMany && this.map.element.nextSibling !== this.tools) this.tools.before(this.map.element);
-    const found = structures.filter(({ name, description, sentence, level }) => this.search.finds(`${name} ${description} ${sentence} ${LEVELS[level].word}`));
+    const found = structures.filter((one) => this.search.finds(`${one.name} ${one.description} ${one.sentence} ${attentionWords(one).word}`));
     this.map.show(found);
     this.none.hidden = found.length > 0 || structures.length === 0;
     const make = (structure) => {
@@ -192,7 +192,7 @@ function makeCard(structure) {
 }
 
 function updateCard({ element, fields, sign, word, sentence, now, also, seen, stale }, structure) {
-  const level = LEVELS[structure.level];
+  const level = attentionWords(structure);
   element.dataset.level = structure.level;
   setText(sign, level.sign);
   setText(word, level.word);
@@ -218,7 +218,7 @@ function updateCard({ element, fields, sign, word, sentence, now, also, seen, st
   setText(fields.lag, lag(structure.lag_s, structure.replayed));
   // For a record, the time is more informative than the age.
   setSentence(fields.age, structure.replayed ? t("age-measured", age(structure), time(structure.time_s)) : age(structure));
-  setSentence(fields.alert, last ? t("at-time", `${STATES[last.state].sign} ${last.parameter} ${STATES[last.state].word}`, time(last.time_s)) : t("none"));
+  setSentence(fields.alert, last ? t("at-time", `${STATES[last.state].sign} ${last.parameter} ${stateWords(last)}`, timeOfAlert(last, last.time_s)) : t("none"));
 }
 
 /** Returns the names of the sensors that need attention, behind the number of those that deliver. */

@@ -33,10 +33,11 @@ export class RangeBar {
   /**
    * `csv()` returns the address of the visible data of all plots, and `report()` that of a report of the
    * range. `samples` exports the samples of the range. `key` begins the identifiers of the fields,
-   * `live` names what the span without a range shows, and `label` the bar for a screen reader.
+   * `live` names what the span without a range shows, and `label` the bar for a screen reader. `at(s)`
+   * formats the ends of the span.
    */
-  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null, live = t("newest-data"), label = t("span-of-all-plots") } = {}) {
-    Object.assign(this, { span, live });
+  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null, live = t("newest-data"), label = t("span-of-all-plots"), at = time } = {}) {
+    Object.assign(this, { span, live, at });
     const free = key === "range" ? "free-range" : `${key}-free-range`;
     this.buttons = lengths.map(([length, text]) => {
       const button = h("button", { type: "button", onclick: () => span.live(length) }, text);
@@ -103,8 +104,8 @@ export class RangeBar {
   }
 
   #words() {
-    const { span } = this;
-    const kept = span.lacks ? t("kept-since", time(span.keptFrom_s)) : "";
-    return (span.isLive ? this.live : `${time(span.from_s)} – ${time(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
+    const { span, at } = this;
+    const kept = span.lacks ? t("kept-since", at(span.keptFrom_s)) : "";
+    return (span.isLive ? this.live : `${at(span.from_s)} – ${at(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
   }
 }

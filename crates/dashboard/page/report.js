@@ -8,7 +8,7 @@ import { t } from "./language.js";
 import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
 import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, attentionWords, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, timeOfAlert, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -135,7 +135,7 @@ export class ReportPage {
   #listEvents(reported) {
     const happened = reported.flatMap(({ about, events, changes }) => eventsOf({ events }, changes).filter(({ isListed }) => isListed).map((event) => ({ ...event, structure: about.name })));
     happened.sort((a, b) => b.time_s - a.time_s);
-    this.event.replaceChildren(this.event.firstElementChild, ...happened.map(({ time_s, measured_s, structure, about, what, lang }) => h("option", { value: measured_s, lang: lang ?? null }, `${time(time_s)}: ${structure}, ${about} ${what}`)));
+    this.event.replaceChildren(this.event.firstElementChild, ...happened.map(({ when, measured_s, structure, about, what, lang }) => h("option", { value: measured_s, lang: lang ?? null }, `${when}: ${structure}, ${about} ${what}`)));
   }
 
   #submit(event) {
@@ -202,9 +202,9 @@ function eventsOf({ events }, changes) {
   const ofAlert = (change) => {
     const { parameter, state, changed_ns: measured, why } = change;
     const { sign, level } = STATES[state];
-    return { time_s: changedAt(change), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why, seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
+    return { time_s: changedAt(change), when: timeOfAlert(change, changedAt(change)), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why, seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
   };
-  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, measured_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
+  const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, when: time(time_ns / 1e9), measured_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
 }
 
@@ -220,6 +220,12 @@ function sentence(element, text) {
   return element;
 }
 
+/** Returns sign and word of the level of a structure. */
+function badge(overview) {
+  const { sign, word } = attentionWords(overview);
+  return `${sign} ${word}`;
+}
+
 /** Returns the heading of a report without contents, and the text that says why. */
 function empty(text) {
   return [h("h1", {}, t("structural-health-report")), h("p", { class: "empty" }, text)];
@@ -227,7 +233,7 @@ function empty(text) {
 
 /** The first page: the period, and one line per structure. */
 function head(reported, { from_s, to_s }, shown) {
-  const rows = reported.map(({ overview }) => ({ level: overview.level, cells: [overview.name, `${LEVELS[overview.level].sign} ${LEVELS[overview.level].word}`, { name: "", text: overview.sentence }] }));
+  const rows = reported.map(({ overview }) => ({ level: overview.level, cells: [overview.name, badge(overview), { name: "", text: overview.sentence }] }));
   const period = t("report-period", time(from_s), time(to_s), duration(to_s - from_s));
   const made = t("made-by-spandrel-on-the-states-are", time(Date.now() / 1000));
   const stored = shown.from_s > from_s + 1 ? t("data-are-stored-from-on", time(shown.from_s)) : "";
@@ -243,7 +249,6 @@ function section({ about, overview, standing, changes, events: known, log }, { f
   const all = eventsOf({ events: [] }, changes).filter(isWithin);
   const alerts = all.filter(({ isListed }) => isListed);
   const others = all.length - alerts.length;
-  const level = LEVELS[overview.level];
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
   const series = isLate ? null : found;
   const { sensors } = overview;
@@ -252,14 +257,14 @@ function section({ about, overview, standing, changes, events: known, log }, { f
   const none = (text) => h("p", { class: "group-text" }, text);
   // Without the history, an empty list is not known to be complete.
   const lacks = whatLogLacks(log);
-  const events = (list, text) => (list.length === 0 ? (log.isRead ? none(text) : null) : table(COLUMNS.events.slice(0, 3), list.slice(-MOST_EVENTS).map(({ time_s, about, what, why, level, lang }) => ({ level, cells: [time(time_s), about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
+  const events = (list, text) => (list.length === 0 ? (log.isRead ? none(text) : null) : table(COLUMNS.events.slice(0, 3), list.slice(-MOST_EVENTS).map(({ when, about, what, why, level, lang }) => ({ level, cells: [when, about, { name: what, text: why, lang }] })), { label: text, className: "is-events" }));
   const left = (list, lack) => [list.length > MOST_EVENTS ? t("earlier-events-not-shown", list.length - MOST_EVENTS) : "", lack].filter(Boolean).map((text) => sentence(none(text), text));
   return h(
     "article",
     { class: "report-structure", "data-structure": about.name, "data-level": overview.level },
     h("h2", {}, about.name),
     h("p", { class: "description" }, where.join(" · ")),
-    h("div", { class: "report-state" }, h("span", { class: "badge" }, `${level.sign} ${level.word}`), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
+    h("div", { class: "report-state" }, h("span", { class: "badge" }, badge(overview)), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
     isLate ? lateNotice(again) : null,
     part(t("alerts-in-the-period"), events(alerts, t("no-alert")), left(alerts, lacks), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
     about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), series && parameterCharts(about, standing, changes, series, shown)) : null,

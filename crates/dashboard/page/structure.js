@@ -16,7 +16,7 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { DAY_S, Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, bySeverity, canBeSeen, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
+import { AROUND_S, SERVICES, TABS, addressOf, attentionWords, bySeverity, canBeSeen, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -186,7 +186,7 @@ export class StructurePage {
   }
 
   #attend(overview) {
-    const level = LEVELS[overview.level];
+    const level = attentionWords(overview);
     this.head.dataset.level = overview.level;
     const { sensors } = overview;
     const severity = ({ credibility: probability = 1, loss }) => ({ probability, loss: loss ?? 0 });

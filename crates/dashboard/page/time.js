@@ -101,7 +101,7 @@ export function duration(seconds) {
  * A small letter at the start of a sentence. The first word is a name if a verb or a colon follows it, or
  * if it contains a digit or a hyphen. A pronoun is no name.
  */
-const SMALL_LETTER = /^(?:(?=(?:it|all|none|nothing|nobody|this|there)\b)|(?!\p{Ll}+(?:[-\d._/:\p{Lu}]| (?:is|has|had|seems|was)\b)))\p{Ll}/u;
+const SMALL_LETTER = /^(?:(?=(?:it|all|none|nothing|nobody|this|there)\b)|(?!\p{Ll}+(?:[-\d._/:\p{Lu}]| (?:is|has|had|lost|gained|seems|was)\b)))\p{Ll}/u;
 
 /**
  * Returns a sentence of a service with a capital letter at its start. Services write a small letter,

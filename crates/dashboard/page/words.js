@@ -1,5 +1,6 @@
 // Names of states and formats of numbers. The formats of times and addresses are beside it.
 
+import { dateOf } from "./course.js";
 import { fixed, inLanguage, t, wordOf } from "./language.js";
 import { duration, time } from "./time.js";
 
@@ -20,6 +21,15 @@ export const LEVELS = {
   learning: { sign: "…", word: t("level-learning") },
   normal: { sign: "✓", word: t("level-normal") },
 };
+
+/**
+ * Returns sign and word of the level of a structure. An active loss that somebody handles is more than a
+ * notice, and has its own word.
+ */
+export function attentionWords({ level, acknowledged }) {
+  const { sign, word } = LEVELS[level];
+  return { sign, word: level === "notice" && acknowledged > 0 ? t("level-acknowledged") : word };
+}
 
 /** Names of the tabs of a structure, and the texts above their contents. */
 export const TABS = { now: t("now"), parameters: t("parameters"), compare: t("compare"), lasting: t("lasting-change"), model: t("model"), sensors: t("sensors"), events: t("events"), settings: t("settings") };
@@ -167,18 +177,44 @@ export function changedAt({ state, changed_ns: changed, acknowledged_ns: acknowl
   return (state === "acknowledged" && acknowledged !== null ? acknowledged : changed) / 1e9;
 }
 
-/** Returns when an alert was acknowledged, and by whom with the note if its sentence does not say so. Empty if it was not. */
-export function seenWords({ why, acknowledged_by: who, acknowledged_ns: at, note: text }) {
+/**
+ * Formats a time of an alert (s). A lasting loss is found on a day, which is one of UTC, and acknowledged or
+ * cleared at a moment.
+ */
+export function timeOfAlert(alert, seconds) {
+  return isLasting(alert) && alert.state === "raised" ? dateOf(seconds) : time(seconds);
+}
+
+/**
+ * Returns the state of an alert with the time of its change. Of an acknowledged one, also when it was raised
+ * (`raised_ns`), if that is known.
+ */
+export function whenWords(alert) {
+  const { state, raised_ns: raised } = alert;
+  const changed = `${STATES[state].word} ${timeOfAlert(alert, changedAt(alert))}`;
+  if (state !== "acknowledged" || raised == null) return changed;
+  return `${STATES.raised.word} ${timeOfAlert({ ...alert, state: "raised" }, raised / 1e9)} · ${changed}`;
+}
+
+/**
+ * Returns by whom an alert was acknowledged with the note, if its sentence does not say so, and when, if that is
+ * not the time of its change. Empty if it was not acknowledged.
+ */
+export function seenWords({ state, why, acknowledged_by: who, acknowledged_ns: at, note: text }) {
   if (!who) return "";
   const note = text ? `: ${text}` : "";
   const isTold = why.includes(`acknowledged by ${who}${note}`);
-  if (at === null) return isTold ? "" : t("alert-seen-by", who, note);
+  if (at === null || state === "acknowledged") return isTold ? "" : t("alert-seen-by", who, note);
   return isTold ? t("alert-seen-on", time(at / 1e9)) : t("alert-seen-by-on", who, time(at / 1e9), note);
 }
 
-/** Returns when the newest loss of an alert was published, if that was after the alert changed to its state. */
-export function revisedWords({ changed_ns: changed, time_ns: newest }) {
-  return newest > changed ? t("revised-at", time(newest / 1e9)) : "";
+/**
+ * Returns when the newest loss of an alert was published, if that was after the alert changed to its state. Of a
+ * lasting loss, it is the last judged day.
+ */
+export function revisedWords(alert) {
+  const { changed_ns: changed, time_ns: newest } = alert;
+  return newest > changed ? t("revised-at", isLasting(alert) ? dateOf(newest / 1e9) : time(newest / 1e9)) : "";
 }
 
 /** Probability of a loss above which only the loss distinguishes parts. The server has the same limit. */
@@ -390,7 +426,7 @@ const JUDGEMENTS = { judged: "normal", stiffer: "warning", "lasting-loss": "alar
 export function judgementWords({ word: judged, sentence, change, seen, epoch_ns: epoch, measured }) {
   const level = seen ? "notice" : (JUDGEMENTS[judged] ?? "learning");
   const parts = [`${LEVELS[level].sign} ${wordOf(judged)}: ${sentence}`];
-  if (change) parts.push(t("found-on", inLanguage(new Date(change.found_ns / 1e6).toISOString().slice(0, 10))));
+  if (change) parts.push(t("found-on", dateOf(change.found_ns / 1e9)));
   if (seen) parts.push(t("judgement-seen-by", seen.who, seen.text));
   parts.push(epoch === null ? t("no-epoch-yet") : t("last-epoch", time(epoch / 1e9)));
   if (!measured) parts.push(t("contains-replayed-or-simulated-samples"));
