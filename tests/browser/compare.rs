@@ -42,7 +42,7 @@ async fn two_ranges_are_compared_in_words_and_in_the_address() {
         .open(&format!("{}#/structure/demo/compare", demo.page))
         .await;
     browser.wait("the end of the demo", ENDED).await;
-    // Without ranges in the address, the halves of the newest data are compared.
+    // Without ranges in the address, usual ones are compared.
     browser
         .wait("a comparison", "location.hash.includes('first=')")
         .await;
@@ -139,6 +139,32 @@ async fn two_ranges_are_compared_in_words_and_in_the_address() {
         browser.evaluate(swapped).await,
         "First range: the end must be after the start."
     );
+    // Regression: two ranges after the alert showed a green check mark beside the alarm.
+    let text = [(end - 30.0, end - 15.0), (end - 15.0, end)]
+        .map(|(from, to)| format!("{from:.3}..{to:.3}"));
+    let after = format!(
+        "location.hash = '#/structure/demo/compare?first={}&second={}'",
+        text[0], text[1]
+    );
+    browser.evaluate(&after).await;
+    let hidden = "document.querySelector('.is-hidden-loss')";
+    let told = format!(
+        "/^◆ Both ranges are after .* storey-2 [(]/.test({hidden}.textContent) && \
+         {hidden}.checkVisibility() && !{sentence}.startsWith('✓')"
+    );
+    browser.wait("a loss before both ranges", &told).await;
+    let around = "[...document.querySelectorAll('.two-ranges button')].find(({ textContent }) => \
+                  textContent === 'Before and since the alert').click()";
+    browser.evaluate(around).await;
+    browser
+        .wait(
+            "the ranges before and since the alert",
+            &format!(
+                "!{hidden}.checkVisibility() && \
+                 /first=[0-9]+[.]...[.][.]([0-9]+[.]...)&second=\\1[.][.]/.test(location.hash)"
+            ),
+        )
+        .await;
     browser.resize(390, 844).await;
     let width = "document.documentElement.scrollWidth";
     assert_eq!(browser.evaluate(width).await, 390);

@@ -6,7 +6,7 @@ import { t } from "./language.js";
 import { HOLE_STEPS, Plot, css, look, padded } from "./plot.js";
 import { lateNotice } from "./ranges.js";
 import { Scale } from "./span.js";
-import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfField, zone } from "./words.js";
+import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfAlert, timeOfField, zone } from "./words.js";
 import { Extent } from "./year.js";
 
 /** Number of points of each series and range. */
@@ -24,6 +24,8 @@ const USUAL = [
   [t("last-day-and-the-day-before"), DAY_S],
   [t("last-week-and-the-week-before"), 7 * DAY_S],
 ];
+/** States of an alert that make the ranges before and since its start the ones to compare. */
+const ACTIVE = ["raised", "unconfirmed", "acknowledged"];
 const NAMES = [t("first-range"), t("second-range")];
 const KEYS = ["first", "second"];
 const LOOKS = [0, 1].map((index) => ({ ...look(index), band: ["--band-95", "--band-second"][index] }));
@@ -176,18 +178,20 @@ export class CompareTab {
     const range = (key, index) => h("fieldset", {}, h("legend", {}, h("span", { class: `swatch-line is-${key}`, "aria-hidden": "true" }), NAMES[index]), h("label", { for: `${key}-from` }, t("from")), this.fields[index].from, h("label", { for: `${key}-to` }, t("to")), this.fields[index].to, this.zones[index]);
     this.told = h("p", { class: "told", role: "status" });
     this.usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.#newest(length_s)) }, text));
-    this.form = h("form", { class: "two-ranges", onsubmit: (event) => this.#submit(event) }, KEYS.map(range), h("div", { class: "ranges" }, h("button", { type: "submit", class: "main" }, t("compare")), h("button", { type: "button", onclick: () => this.#showHalves() }, t("halves-of-the-shown-span")), this.usual), this.told);
+    this.sinceAlert = h("button", { type: "button", hidden: true, onclick: () => this.#showUsual() }, t("before-and-since-the-alert"));
+    this.form = h("form", { class: "two-ranges", onsubmit: (event) => this.#submit(event) }, KEYS.map(range), h("div", { class: "ranges" }, h("button", { type: "submit", class: "main" }, t("compare")), this.sinceAlert, h("button", { type: "button", onclick: () => this.#showHalves() }, t("halves-of-the-shown-span")), this.usual), this.told);
     this.rows = h("tbody");
     const heads = h("tr", {}, COLUMNS.differences.map((text) => h("th", { scope: "col" }, text)));
     this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": t("differences") }, h("table", { class: "differences" }, h("thead", {}, heads), this.rows));
     this.lengths = h("p", { class: "group-text" });
     this.sentence = h("p", { class: "sentence" });
+    this.hidden = h("p", { class: "sentence is-hidden-loss", hidden: true });
     this.late = lateNotice(() => this.#load());
     this.late.hidden = true;
     this.all = h("button", { type: "button", class: "back", hidden: true, onclick: () => this.points.extent.live() }, t("whole-ranges"));
     this.holder = h("div", { class: "plots" });
     const words = t("the-interval-covers-the-errors-of-the");
-    this.element = h("section", { class: "group", id: "group-compare" }, h("h2", { class: "sr-only" }, t("comparison")), h("section", { class: "card" }, this.form), h("section", { class: "card" }, this.late, this.sentence, this.lengths, this.table, h("p", { class: "group-text" }, words)), h("div", { class: "tools" }, this.all), this.holder);
+    this.element = h("section", { class: "group", id: "group-compare" }, h("h2", { class: "sr-only" }, t("comparison")), h("section", { class: "card" }, this.form), h("section", { class: "card" }, this.late, this.hidden, this.sentence, this.lengths, this.table, h("p", { class: "group-text" }, words)), h("div", { class: "tools" }, this.all), this.holder);
     this.#build(this.quantities.length <= MOST_PLOTS ? this.quantities : []);
   }
 
@@ -207,7 +211,8 @@ export class CompareTab {
 
   update() {
     // The first data determine the ranges of a page that was opened too early.
-    if (!this.points.ranges && this.page.span.newest_s !== null) this.#showHalves();
+    if (!this.points.ranges && this.page.span.newest_s !== null) this.#showUsual();
+    this.sinceAlert.hidden = this.#aroundAlert() === null;
   }
 
   restart() {
@@ -219,7 +224,34 @@ export class CompareTab {
     const ranges = KEYS.map((key) => rangeOf(parameters.get(key)));
     this.chosen = this.quantities.some((quantity) => quantity.name === name) ? name : null;
     if (!ranges.includes(null)) this.#set(ranges);
-    else if (this.page.span.newest_s !== null) this.#showHalves();
+    else if (this.page.span.newest_s !== null) this.#showUsual();
+  }
+
+  /** Shows the ranges before and since an alert. Both halves of the shown span would hide its loss. */
+  #showUsual() {
+    const ranges = this.#aroundAlert();
+    if (ranges === null) return this.#showHalves();
+    this.#choose(ranges);
+    this.isUnchosen = true;
+  }
+
+  /** Returns the active alerts { parameter, since_s, … } of the structure. */
+  #alerts() {
+    const { alerts, lasting_alerts: lasting } = this.page.standing();
+    return [...alerts, ...lasting].filter(({ state, since_ns: since }) => ACTIVE.includes(state) && since !== null).map((alert) => ({ ...alert, since_s: alert.since_ns / 1e9 }));
+  }
+
+  /**
+   * Returns the range since the first alert that nobody has acknowledged, or else since the first one, and the
+   * range before it, of the same length where data are kept. Returns null without an alert before the newest data.
+   */
+  #aroundAlert(from_s = -Infinity) {
+    const end = this.page.span.newest_s;
+    const all = this.#alerts().filter(({ since_s: since }) => since < end);
+    const open = all.filter(({ state, acknowledged_by: who }) => state !== "acknowledged" && !who);
+    const start = Math.min(...(open.length > 0 ? open : all).map(({ since_s: since }) => since));
+    if (all.length === 0 || start <= from_s) return null;
+    return [{ from_s: Math.max(start - (end - start), from_s), to_s: start }, { from_s: start, to_s: end }];
   }
 
   /** Shows the halves of the shown span, or of the part of it that has data. */
@@ -288,8 +320,9 @@ export class CompareTab {
     const { keptFrom_s: kept, isLate } = this.points;
     this.late.hidden = !isLate;
     for (const of of [this.sentence, this.lengths, this.table]) of.hidden = isLate;
+    this.hidden.hidden ||= isLate;
     if (isLate) return this.#redraw();
-    if (this.isUnchosen && kept !== null && kept > ranges[0].from_s + 1 && kept < ranges[1].to_s - 1) return this.#choose(this.#halves(kept));
+    if (this.isUnchosen && kept !== null && kept > ranges[0].from_s + 1 && kept < ranges[1].to_s - 1) return this.#choose(this.#aroundAlert(kept) ?? this.#halves(kept));
     this.#show();
   }
 
@@ -316,13 +349,20 @@ export class CompareTab {
       return { element: h("tr", {}, h("th", { scope: "row" }, head), cells), cells };
     };
     const value = (mean, unit) => (mean ? comparedValue(mean.mean, unit) : "–");
-    const all = results.map((one) => ({ ...one, words: comparedMeans(one.change, one.first) }));
+    // What was lost before both ranges is the same in both.
+    const earlier = this.#alerts().filter(({ since_s: since }) => this.points.ranges.every(({ from_s }) => from_s >= since));
+    const isHidden = ({ name, change, words }) => change && !words.sentence && earlier.some(({ parameter }) => parameter === name);
+    const withWords = (one) => ({ ...one, words: comparedMeans(one.change, one.first) });
+    const all = results.map(withWords).map((one) => (isHidden(one) ? { ...one, words: { ...one.words, level: "learning", result: t("after-the-alert") } } : one));
     keyed(this.rows, all, ({ series }) => series, make, ({ element, cells }, { name, first, second, unit, words }) => {
       element.dataset.level = words.level;
       if (isMany) element.querySelector("button").setAttribute("aria-pressed", String(name === this.shown));
       [value(first, unit), value(second, unit), words.difference, words.interval, words.result].forEach((text, column) => setText(cells[column], text));
     });
-    setText(this.sentence, summary(all));
+    const alerts = earlier.map((alert) => `${alert.parameter} (${timeOfAlert({ ...alert, state: "raised" }, alert.since_s)})`).join(", ");
+    this.hidden.hidden = earlier.length === 0;
+    if (earlier.length > 0) setSentence(this.hidden, t("both-ranges-are-after-the-alert", alerts));
+    setText(this.sentence, summary(all, earlier.length > 0));
     this.#redraw();
   }
 
@@ -355,12 +395,13 @@ function rangeOf(text) {
 /** Maximum number of differences that the sentence names, the clearest first. */
 const MOST_NAMED = 3;
 
-/** Returns the differences in one sentence. */
-function summary(results) {
+/** Returns the differences in one sentence. Without any, a loss from before both ranges is no good news. */
+function summary(results, isAfterAlert) {
   const known = results.filter(({ change }) => change);
   if (known.length === 0) return t("no-quantity-has-data-in-both-ranges");
   const clear = known.filter(({ words }) => words.sentence).sort((a, b) => clearness(b) - clearness(a));
   if (clear.length === 0 && known.length < results.length) return t("no-difference-among-known", known.length, results.length);
+  if (clear.length === 0 && isAfterAlert) return t("no-difference-besides");
   if (clear.length === 0) return known.some(({ change }) => change.isByChance) ? t("no-difference-beyond-chance", known.length) : t("no-difference-is-shown-the-95-per");
   const named = clear.slice(0, MOST_NAMED).map(({ name, words }) => `${name} ${words.sentence}`);
   const more = clear.length - named.length;
