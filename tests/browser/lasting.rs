@@ -80,6 +80,7 @@ async fn the_year_of_a_quantity_is_shown_read_zoomed_and_linked() {
     the_present_state_leads_to_the_year(&mut browser).await;
     the_first_quantity_has_lost_stiffness(&mut browser).await;
     the_loss_is_listed_among_the_alerts(&mut browser).await;
+    a_report_without_new_data_contains_the_loss(&mut browser).await;
     a_note_is_entered_by_keyboard(&mut browser).await;
     another_quantity_has_its_own_address(&mut browser).await;
     the_plots_are_zoomed_and_read_by_keyboard(&mut browser).await;
@@ -161,6 +162,30 @@ async fn the_loss_is_listed_among_the_alerts(browser: &mut Browser) {
     browser.evaluate(&back).await;
     let shown = format!("/storey-1 has lost [0-9.]+ % of stiffness/.test({PANEL})");
     browser.wait("the year again", &shown).await;
+}
+
+/// Regression test: without data since the start of the server, one sentence was the whole report.
+async fn a_report_without_new_data_contains_the_loss(browser: &mut Browser) {
+    // The period, 2025-11-13 to 2025-11-22, begins after the loss was found.
+    let open = "location.hash = '#/report?structures=demo&from=1763000000&to=1763800000'";
+    browser.evaluate(open).await;
+    let complete = "document.querySelector('.report[data-state=complete]')";
+    browser.wait("the report", complete).await;
+    let told = "(() => { const report = document.querySelector('.report-structure'); \
+                const row = report.querySelector('.is-events tbody tr'); \
+                return [report.querySelector('.badge').textContent, \
+                /^2025-1.-..$/.test(row.children[0].textContent), \
+                /^▲ raised [(]lasting loss[)] storey-1 has lost /.test(row.children[2].textContent), \
+                report.querySelectorAll('.chart .dot').length > 300, \
+                report.querySelectorAll('.is-sensors tbody tr').length]; })()";
+    assert_eq!(
+        browser.evaluate(told).await,
+        serde_json::json!(["▲ Alarm", true, true, true, 6])
+    );
+    let back = "location.hash = '#/structure/demo/lasting?quantity=storey-1'";
+    browser.evaluate(back).await;
+    let shown = format!("/storey-1 has lost [0-9.]+ % of stiffness/.test({PANEL})");
+    browser.wait("the year after the report", &shown).await;
 }
 
 async fn a_note_is_entered_by_keyboard(browser: &mut Browser) {

@@ -56,9 +56,9 @@ function roundTimes(from_s, to_s, most) {
  * Draws a series of times, means and standard deviations.
  *
  * `marks` are moments { x, text, colour }. `bound` { y, text } is a threshold. `hasPoints` shows each
- * value as a point. `width` is that of the drawing, in its own units.
+ * value as a point. `dots` are further values of these times, shown as points. `width` is that of the drawing, in its own units.
  */
-export function chart({ columns, from_s, to_s, range, label, marks = [], bound = null, hasPoints = false, width = WIDTH }) {
+export function chart({ columns, from_s, to_s, range, label, marks = [], bound = null, hasPoints = false, dots = [], width = WIDTH }) {
   const [times, means, stds] = columns;
   const inside = width - ROOM.left - ROOM.right;
   const told = flags(marks, { min: from_s, max: to_s }, inside, (text) => CHARACTER * text.length);
@@ -67,6 +67,7 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
   const x = (time) => ROOM.left + ((time - from_s) / (to_s - from_s)) * inside;
   const y = (value) => Math.min(Math.max(bottom - ((value - range[0]) / (range[1] - range[0])) * (bottom - top), top), bottom);
   const point = (time, value) => `${x(time).toFixed(1)} ${y(value).toFixed(1)}`;
+  const dot = (time, value) => s("circle", { class: "dot", cx: x(time), cy: y(value), r: 1.6 });
   /** Returns the end of the threshold for its words: the left one, unless only the right one is free of the curve. */
   const boundPlace = () => {
     const wide = CHARACTER * bound.text.length + 6;
@@ -94,8 +95,9 @@ export function chart({ columns, from_s, to_s, range, label, marks = [], bound =
       const lower = rows.map((row) => point(times[row], means[row] - HALF_95 * (stds[row] ?? 0)));
       svg.append(s("path", { class: "band", d: `M${[...upper, ...lower.toReversed()].join("L")}Z` }), s("path", { class: "line", d: `M${rows.map((row) => point(times[row], means[row])).join("L")}` }));
     }
-    if (hasPoints) rows.forEach((row) => svg.append(s("circle", { class: "dot", cx: x(times[row]), cy: y(means[row]), r: 1.6 })));
+    if (hasPoints) rows.forEach((row) => svg.append(dot(times[row], means[row])));
   }
+  dots.forEach((value, row) => value !== null && svg.append(dot(times[row], value)));
   if (bound && bound.y > range[0] && bound.y < range[1]) svg.append(s("line", { class: "bound", x1: ROOM.left, x2: width - ROOM.right, y1: y(bound.y), y2: y(bound.y) }), s("text", { class: "bound-text", ...boundPlace(), y: boundHeight() }, bound.text));
   for (const { at, row, text, from, colour } of told) {
     const line = s("line", { class: "moment", x1: ROOM.left + at, x2: ROOM.left + at, y1: row < 0 ? top : top - (row + 1) * ROW + 2, y2: bottom });

@@ -442,6 +442,7 @@ export const english = {
   "report-monitoring": "monitoring {0}",
   "report-period": "{0} to {1} ({2})",
   "report-ratio-to-the-design": "Ratio to the design value: 1 is as designed. Line: estimate; band: 95 % interval; dashed: threshold of the rule. All stiffnesses have the same scale.",
+  "report-year": "Points: measured days; line: expected value; band: 95 % interval of a day.",
   "report-title": "Report {0}",
   "residual": "{0} standard deviations",
   "residuals": "Residuals",

@@ -442,6 +442,7 @@ export const german = {
   "report-monitoring": "Überwachung {0}",
   "report-period": "{0} bis {1} ({2})",
   "report-ratio-to-the-design": "Verhältnis zum Entwurfswert: 1 ist wie entworfen. Linie: Schätzung; Band: 95-%-Intervall; gestrichelt: Schwelle der Regel. Alle Steifigkeiten haben dieselbe Skala.",
+  "report-year": "Punkte: gemessene Tage; Linie: erwarteter Wert; Band: 95-%-Intervall eines Tages.",
   "report-title": "Bericht {0}",
   "residual": "{0} Standardabweichungen",
   "residuals": "Residuen",

@@ -2,13 +2,14 @@
 // events of the chosen structures.
 
 import { WIDE, chart, rangeOf } from "./chart.js";
-import { h, setText } from "./dom.js";
+import { noon } from "./course.js";
+import { grouped, h, setText } from "./dom.js";
 import { eventWords } from "./events.js";
 import { t } from "./language.js";
 import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
 import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, attentionWords, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, timeOfAlert, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, attentionWords, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, judgementWords, keyOfAlert, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, timeOfAlert, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -22,6 +23,8 @@ const MOST_EVENTS = 300;
 const HALF_95 = 1.96;
 /** Time before the newest data from which a period counts as the present (s). */
 const PRESENT_S = 60;
+/** Length of the plots of the judged quantities, up to the end of the period (s). */
+const YEAR_S = 366 * 86400;
 /** Rounding of a time in the address (s). */
 const ROUNDING_S = 0.001;
 /** Periods that a button selects (s). */
@@ -88,7 +91,8 @@ export class ReportPage {
     const urgency = ({ overview }) => Object.keys(LEVELS).indexOf(overview.level);
     const reported = all.map((one) => ({ ...one, changes: changes.filter(({ structure }) => structure === one.about.name) })).sort((a, b) => urgency(a) - urgency(b) || natural(a.about.name, b.about.name));
     const newest = reported.map(({ overview }) => overview.time_s).filter((time) => time !== null);
-    this.end_s = newest.length > 0 ? Math.max(...reported.map(endOf)) : null;
+    // An alert remains known if no data have come since the server was started.
+    this.end_s = newest.length > 0 ? Math.max(...reported.map(endOf)) : reported.some(isKnown) ? Date.now() / 1000 : null;
     if (this.end_s === null) {
       this.sheet.dataset.state = "complete";
       return this.sheet.replaceChildren(...empty(t("no-data-yet-there-is-nothing-to")));
@@ -97,7 +101,7 @@ export class ReportPage {
     const start = (length_s) => (isWithoutDate(this.end_s) ? Math.max(0, this.end_s - length_s) : this.end_s - length_s);
     const { from_s, to_s } = this.period && !this.period.length_s ? this.period : { from_s: start(this.period?.length_s ?? USUAL_S), to_s: this.end_s };
     this.#fillForm(names, reported, from_s, to_s);
-    const [series, logs] = await Promise.all([Promise.all(reported.map(({ about }) => pointsOf(about, from_s, to_s))), Promise.all(reported.map(({ about }) => fetchLog(about.name, { from_s, to_s })))]);
+    const [series, logs, years] = await Promise.all([(one) => pointsOf(one.about, from_s, to_s), (one) => fetchLog(one.about.name, { from_s, to_s }), (one) => yearsOf(one, to_s)].map((of) => Promise.all(reported.map(of))));
     if (!this.#isOpen) return;
     const logged = reported.map((one, index) => withLog(one, logs[index]));
     this.#listEvents(logged);
@@ -105,7 +109,7 @@ export class ReportPage {
     const firsts = series.filter(({ isLate }) => !isLate).flatMap(({ found }) => [...found.values()].map(([times]) => times[0]).filter((time) => time !== undefined));
     const shown = { from_s: firsts.length > 0 ? Math.max(from_s, Math.min(...firsts, to_s - 1)) : from_s, to_s };
     const again = () => this.#load();
-    const sections = logged.map((one, index) => section(one, { ...series[index], again }, { from_s, to_s }, shown));
+    const sections = logged.map((one, index) => section(one, { ...series[index], years: years[index], again }, { from_s, to_s }, shown));
     this.sheet.replaceChildren(head(reported, { from_s, to_s }, shown), ...sections);
     this.sheet.dataset.state = "complete";
     this.print.disabled = false;
@@ -157,6 +161,34 @@ export class ReportPage {
 function withLog(one, log) {
   const changes = merged(one.changes, log.changes, keyOfChange).sort((a, b) => b.changed_ns - a.changed_ns);
   return { ...one, log, changes, events: merged(one.standing.events, log.events, keyOfEvent).sort((a, b) => b.time_ns - a.time_ns) };
+}
+
+/** Returns whether more is known of a structure than its file. */
+function isKnown({ overview, standing: { alerts, judgements } }) {
+  return overview.time_s !== null || alerts.length > 0 || judgements.length > 0;
+}
+
+/**
+ * Returns the alerts that were active when a period began: the last change of each before it, or its present
+ * state if no change is known.
+ */
+function activeAt(from_s, changes, { alerts, lasting_alerts: lasting }) {
+  const known = new Set(changes.map(keyOfAlert));
+  const all = [...changes, ...[...alerts, ...lasting].filter((alert) => !known.has(keyOfAlert(alert)))];
+  const earlier = all.filter(({ changed_ns: at }) => at / 1e9 < from_s - ROUNDING_S);
+  return grouped(earlier, keyOfAlert).map(([last]) => last).filter(({ state }) => LISTED.includes(state) && state !== "cleared");
+}
+
+/** Fetches the days of the judged quantities up to a time. Returns the courses by quantity, without those that judge does not supply. */
+async function yearsOf({ about, standing }, to_s) {
+  const courses = new Map();
+  for (const { quantity } of standing.judgements) {
+    const query = new URLSearchParams({ from: to_s - YEAR_S, to: to_s });
+    const response = await fetch(`/api/structures/${encodeURIComponent(about.name)}/judgements/${encodeURIComponent(quantity)}/course?${query}`);
+    if (!response.ok) break; // the service does not answer
+    courses.set(quantity, await response.json());
+  }
+  return courses;
 }
 
 /** Share of a period without data from which the points are fetched again, for the rest of it. */
@@ -242,17 +274,18 @@ function head(reported, { from_s, to_s }, shown) {
 }
 
 /** Everything about one structure. Without the replies of the history, the report has no estimates. */
-function section({ about, overview, standing, changes, events: known, log }, { found, isLate, again }, period, shown) {
-  if (overview.time_s === null) return h("article", { class: "report-structure is-empty", "data-structure": about.name, "data-level": overview.level }, h("h2", {}, about.name), sentence(h("p", { lang: SERVICES }), overview.sentence));
+function section({ about, overview, standing, changes, events: known, log }, { found, isLate, years, again }, period, shown) {
+  if (!isKnown({ overview, standing })) return h("article", { class: "report-structure is-empty", "data-structure": about.name, "data-level": overview.level }, h("h2", {}, about.name), sentence(h("p", { lang: SERVICES }), overview.sentence));
   const isWithin = ({ measured_s: at }) => at >= period.from_s - ROUNDING_S && at <= period.to_s + ROUNDING_S;
   const happened = eventsOf({ events: known }, []).filter(isWithin);
   const all = eventsOf({ events: [] }, changes).filter(isWithin);
-  const alerts = all.filter(({ isListed }) => isListed);
-  const others = all.length - alerts.length;
+  const alerts = [...eventsOf({ events: [] }, activeAt(period.from_s, changes, standing)), ...all.filter(({ isListed }) => isListed)];
+  const others = all.filter(({ isListed }) => !isListed).length;
   const where = [about.description, about.place, coordinatesOf(about.coordinates)].filter(Boolean);
   const series = isLate ? null : found;
   const { sensors } = overview;
   const facts = [overview.time_s === null ? t("no-data") : t("newest-data-at", time(overview.time_s)), overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total), ...(overview.is_filtered ? [t("report-monitoring", wordOf(overview.monitoring ?? "unknown")), t("fit-is", fitWord(overview))] : [overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only")])];
+  const help = [about.contact ? t("contact", about.contact) : "", about.runbook ? `${t("runbook")}: ${about.runbook}` : ""].filter(Boolean).join(" · ");
   const part = (title, ...content) => h("section", { class: "report-part" }, h("h3", {}, title), content);
   const none = (text) => h("p", { class: "group-text" }, text);
   // Without the history, an empty list is not known to be complete.
@@ -264,12 +297,12 @@ function section({ about, overview, standing, changes, events: known, log }, { f
     { class: "report-structure", "data-structure": about.name, "data-level": overview.level },
     h("h2", {}, about.name),
     h("p", { class: "description" }, where.join(" · ")),
-    h("div", { class: "report-state" }, h("span", { class: "badge" }, badge(overview)), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · "))),
+    h("div", { class: "report-state" }, h("span", { class: "badge" }, badge(overview)), sentence(h("p", { class: "sentence", lang: SERVICES }), overview.sentence), overview.now ? h("p", { class: "now", lang: SERVICES }, t("by-the-newest-value", overview.now)) : null, overview.also ? sentence(h("p", { class: "also", lang: SERVICES }), overview.also) : null, sentence(h("p", { class: "group-text" }), facts.join(" · ")), help ? h("p", { class: "group-text" }, help) : null),
     isLate ? lateNotice(again) : null,
     part(t("alerts-in-the-period"), events(alerts, t("no-alert")), left(alerts, lacks), others > 0 ? none(t("further-changes-between-normal-learning-and-undecided", others)) : null),
     about.parameters.length > 0 ? part(t("parameters"), parameterTable(about, overview, standing, changes, series, period), series && parameterCharts(about, standing, changes, series, shown)) : null,
     about.modes.length > 0 ? part(t("natural-frequencies"), modeList(standing), series && charts(about.modes, "mode", series, shown, ({ name }) => `${name} (Hz)`)) : null,
-    about.judged.length > 0 ? part(t("lasting-change"), standing.judgements.length === 0 ? none(t("the-service-judge-has-not-reported-yet")) : h("ul", { class: "sensor-list" }, standing.judgements.map(({ sentence: text }) => sentence(h("li", { lang: SERVICES }), text)))) : null,
+    about.judged.length > 0 ? part(t("lasting-change"), standing.judgements.length === 0 ? none(t("the-service-judge-has-not-reported-yet")) : [h("ul", { class: "sensor-list" }, standing.judgements.map(judgementLine)), yearCharts(standing, years, period.to_s)]) : null,
     about.conditions.length > 0 ? part(t("conditions"), h("ul", { class: "sensor-list" }, standing.conditions.map((condition) => h("li", {}, conditionWords(condition).text))), series && charts(about.conditions, "condition", series, shown, ({ name, unit: of }) => `${name} (${unit(of)})`)) : null,
     part(t("sensors-at-the-time-of-the-report"), sensorTable(about, standing)),
     part(t("events-in-the-period"), events(happened, t("no-event-is-known")), left(happened, happened.length > 0 ? "" : lacks)),
@@ -333,6 +366,31 @@ function charts(list, kind, series, shown, title) {
     const range = times.length > 0 ? rangeOf(columns) : null;
     return figure(title(one), "", range && { columns, ...shown, range, hasPoints: true, label: t("over-the-period", one.name) }, isAlone(index, list));
   }));
+}
+
+function judgementLine(judgement) {
+  const { level, text } = judgementWords(judgement);
+  return sentence(h("li", { lang: SERVICES, "data-level": level }), text);
+}
+
+/** Draws the days of the judged quantities over a year, or returns null without any. */
+function yearCharts({ judgements }, years, to_s) {
+  const shown = judgements.filter(({ quantity }) => years.get(quantity)?.rows.length > 0);
+  if (shown.length === 0) return null;
+  const figures = shown.map(({ quantity }, index) => {
+    const { rows, kind } = years.get(quantity);
+    const times = rows.map(({ day_ns: day }) => noon(day));
+    const dots = rows.map(({ measured }) => measured);
+    const means = rows.map(({ expectation }) => expectation?.expected ?? null);
+    const stds = rows.map(({ expectation }) => (expectation ? (expectation.interval.high - expectation.interval.low) / (2 * HALF_95) : null));
+    const measured = dots.filter((value) => value !== null);
+    const range = rangeOf([times, means, stds], measured) ?? rangeOf([times, dots, dots.map(() => null)]);
+    const { change } = rows.at(-1);
+    const marks = change ? [{ x: noon(change.found_ns), text: t("found", wordOf(change.kind)), colour: "--alarm" }] : [];
+    const title = kind === "frequency" ? `${quantity} (Hz)` : quantity;
+    return figure(title, "", range && { columns: [times, means, stds], from_s: Math.min(times[0], to_s - 86400), to_s, range, marks, dots, label: `${title}: ${t("measured-and-expected")}` }, isAlone(index, shown));
+  });
+  return h("div", {}, h("p", { class: "group-text" }, t("report-year")), h("div", { class: "charts" }, figures));
 }
 
 /** Returns the last estimate of a parameter in words. */
