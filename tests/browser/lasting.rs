@@ -125,6 +125,16 @@ async fn the_first_quantity_has_lost_stiffness(browser: &mut Browser) {
         readout("year")
     );
     browser.wait("the last day in the plot", &day).await;
+    // Regression: the logarithm was called evidence, and the line had two names.
+    let evidence = format!(
+        "/^2025-11-2. · ln evidence [0-9.]+ [(]threshold [0-9.]+[)] · slow drift: [0-9.]+ × its \
+         threshold$/.test({})",
+        readout("evidence")
+    );
+    browser
+        .evaluate("document.querySelector('#plot-evidence').scrollIntoView()")
+        .await;
+    browser.wait("the evidence in words", &evidence).await;
     for part in [
         "2024-07-01 to 2025-06-30",
         "0.05, of 0.1 for the structure",
@@ -257,8 +267,9 @@ async fn the_plots_are_zoomed_and_read_by_keyboard(browser: &mut Browser) {
     browser
         .evaluate("document.querySelector('#plot-scatter').scrollIntoView()")
         .await;
+    // Regression: it was the warmest day.
     let scatter = format!(
-        "/^20..-..-.. · -?[0-9.]+ °C · measured /.test({})",
+        "/^2025-11-2. · -?[0-9.]+ °C · measured /.test({})",
         readout("scatter")
     );
     browser.wait("values over the temperature", &scatter).await;

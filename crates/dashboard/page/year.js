@@ -17,7 +17,10 @@ const SQUARE = 400;
 const LEFT_OUT = 0.03;
 /** Lowest ln of the evidence that the plot shows: less says nothing more. */
 const LEAST_EVIDENCE = -3;
-/** Highest evidence that the plot shows, in thresholds. It grows for as long as a loss remains. */
+/**
+ * Highest evidence that the plot shows, in thresholds. It grows for as long as a loss remains. What is above is
+ * drawn here, below the top, and marked.
+ */
 const MOST_THRESHOLDS = 2.5;
 
 /** How the days are drawn. Shapes distinguish them without colour. */
@@ -35,6 +38,9 @@ const SEASONS = [
   { name: t("jun-aug"), shape: "square", colour: "--line-2", months: [6, 7, 8] },
   { name: t("sep-nov"), shape: "circle", isHollow: true, colour: "--line-4", months: [9, 10, 11] },
 ];
+
+/** The ring around the newest day among days that are not sorted by time. */
+const NEWEST = { name: t("newest-day"), shape: "circle", isHollow: true, colour: "--ink", size: 6 };
 
 const none = { paths: () => null, stroke: "transparent", width: 0 };
 const edge = { stroke: "transparent", width: 0 };
@@ -158,24 +164,37 @@ export function residualPlot(points, span) {
   return new Plot(plot, points, span);
 }
 
+/** Returns the evidence of a day in words. A drift far above its threshold needs no decimals. */
+function evidenceWords({ ln_evidence: evidence, ln_threshold: threshold, cusum_share: share }) {
+  const ln = (value) => typeset(value.toFixed(Math.abs(value) < 100 ? 1 : 0));
+  return t("evidence-of-cusum-at", ln(evidence), ln(threshold), fixed(share, share < 10 ? 1 : 0));
+}
+
 /** Creates the plot of the evidence of a loss and its threshold. */
 export function evidencePlot(points, span) {
   const last = () => points.course?.rows.findLast(({ expectation }) => expectation)?.expectation;
+  const most = () => MOST_THRESHOLDS * (last()?.ln_threshold ?? 1);
+  /** Returns the mark of the values above the axis, if the plot shows any. */
+  const above = () => {
+    const { min, max } = span.shown;
+    const isCut = ({ time, expectation }) => expectation?.ln_evidence > most() && time >= min && time <= max;
+    return points.course?.rows.some(isCut) ? [{ y: most(), text: t("above-the-axis"), isBelow: true }] : [];
+  };
   const plot = overDays(points, {
     title: t("evidence-of-a-loss"),
     file: "evidence",
     unit: t("ln-of-the-evidence"),
     rows: (columns) => {
       const { rows } = columns.get("course");
-      return [rows.map(({ time }) => time), rows.map(({ expectation }) => (expectation ? Math.max(expectation.ln_evidence, LEAST_EVIDENCE) : null))];
+      return [rows.map(({ time }) => time), rows.map(({ expectation }) => (expectation ? Math.min(Math.max(expectation.ln_evidence, LEAST_EVIDENCE), most()) : null))];
     },
     series: () => [{ stroke: () => css("--line-1"), width: 2, fill: () => css("--band-997"), fillTo: () => LEAST_EVIDENCE }],
     range: (_, __, largest) => {
       const threshold = last()?.ln_threshold ?? 1;
-      return [LEAST_EVIDENCE, Math.min(Math.max(1.15 * threshold, 1.05 * (largest ?? 0)), MOST_THRESHOLDS * threshold)];
+      return [LEAST_EVIDENCE, Math.max(1.15 * threshold, 1.1 * (largest ?? 0))];
     },
-    marks: () => [...found(points.course), ...(last() ? [{ y: last().ln_threshold, text: t("threshold"), colour: "--alarm" }] : [])],
-    readout: (row) => (row?.expectation ? t("evidence-of-cusum-at-per-cent-of", typeset(row.expectation.ln_evidence.toFixed(1)), fixed(row.expectation.ln_threshold, 1), (100 * row.expectation.cusum_share).toFixed(0)) : words(row)),
+    marks: () => [...found(points.course), ...above(), ...(last() ? [{ y: last().ln_threshold, text: t("threshold"), colour: "--alarm" }] : [])],
+    readout: (row) => (row?.expectation ? evidenceWords(row.expectation) : words(row)),
   });
   return new Plot(plot, points, span);
 }
@@ -214,13 +233,14 @@ export class Extent {
 export function conditionScatter(points, span, extent) {
   const condition = () => points.course?.conditions[0];
   const looks = [...SEASONS, { ...KINDS.changed, shape: "cross" }];
+  const drawn = [...looks, NEWEST];
   const place = (row) => (row.kind === "changed" ? SEASONS.length : SEASONS.findIndex(({ months }) => months.includes(1 + new Date(1000 * row.time).getUTCMonth())));
   const plot = {
     title: t("measured-values-over-the-first-condition"),
     file: "scatter",
     height: SQUARE,
     names: ["course"],
-    legend: legendOf(looks),
+    legend: legendOf(drawn),
     across: () => (condition() ? `${condition().name}${condition().unit ? ` (${unit(condition().unit)})` : ""}` : ""),
     unit: () => inUnit(points.course ?? {}),
     rows: (columns) => {
@@ -231,10 +251,14 @@ export function conditionScatter(points, span, extent) {
       const room = values.length > 0 ? Math.max(0.03 * (values.at(-1) - values[0]), 1e-6) : 0;
       if (values.length > 0) extent.all = [values[0] - room, values.at(-1) + room];
       const of = (index) => rows.map((row) => (place(row) === index ? row.measured : null));
-      return [values, ...looks.map((_, index) => of(index)), rows.map(({ time }) => time)];
+      const times = rows.map(({ time }) => time);
+      const newest = Math.max(...times);
+      return [values, ...looks.map((_, index) => of(index)), rows.map(({ time, measured }) => (time === newest ? measured : null)), times];
     },
-    series: () => [...looks.map(() => none), { show: false }],
-    paint: (u) => paint(u, looks.map((look) => ({ size: 3, ...look })), 1),
+    series: () => [...drawn.map(() => none), { show: false }],
+    // The rows are sorted by the condition.
+    newest: (data) => data.at(-1).indexOf(Math.max(...data.at(-1))),
+    paint: (u) => paint(u, drawn.map((look) => ({ size: 3, ...look })), 1),
     readout: (data, index) => {
       const row = points.course?.byTime.get(data.at(-1)[index]);
       return row ? `${dateOf(row.time)} · ${number(row.conditions[0])}${condition()?.unit ? ` ${unit(condition().unit)}` : ""} · ${words(row)}` : "";
