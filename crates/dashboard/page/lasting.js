@@ -39,7 +39,7 @@ export class LastingTab {
     this.delays = h("tbody");
     const heads = COLUMNS.delays.map((text) => h("th", { scope: "col" }, text));
     this.finds = h("table", { class: "delays" }, h("caption", {}, t("what-the-reference-finds-in-simulated-years")), h("thead", {}, h("tr", {}, heads)), this.delays);
-    this.ranges = new RangeBar(this.span, () => this.points.csv(), { lengths: LENGTHS, key: "year", at: dateOf });
+    this.ranges = new RangeBar(this.span, () => this.points.csv(), { lengths: LENGTHS, key: "year", isOfDays: true });
     this.scatter = conditionScatter(this.points, this.span, this.extent);
     const values = valuePlot(this.points, this.span);
     this.plots = [values, residualPlot(this.points, this.span), evidencePlot(this.points, this.span), this.scatter];

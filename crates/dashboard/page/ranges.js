@@ -1,5 +1,6 @@
 // The bar that selects the time span of all plots: usual lengths, a free range, and the export.
 
+import { dateOf } from "./course.js";
 import { h, setText } from "./dom.js";
 import { t } from "./language.js";
 import { saved } from "./samples.js";
@@ -33,11 +34,11 @@ export class RangeBar {
   /**
    * `csv()` returns the address of the visible data of all plots, and `report()` that of a report of the
    * range. `samples` exports the samples of the range. `key` begins the identifiers of the fields,
-   * `live` names what the span without a range shows, and `label` the bar for a screen reader. `at(s)`
-   * formats the ends of the span.
+   * `live` names what the span without a range shows, and `label` the bar for a screen reader. `isOfDays`
+   * states whether the data are those of days (UTC).
    */
-  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null, live = t("newest-data"), label = t("span-of-all-plots"), at = time } = {}) {
-    Object.assign(this, { span, live, at });
+  constructor(span, csv, { lengths = LENGTHS, key = "range", report = null, samples = null, live = null, label = t("span-of-all-plots"), isOfDays = false } = {}) {
+    Object.assign(this, { span, live, isOfDays });
     const free = key === "range" ? "free-range" : `${key}-free-range`;
     this.buttons = lengths.map(([length, text]) => {
       const button = h("button", { type: "button", onclick: () => span.live(length) }, text);
@@ -103,9 +104,17 @@ export class RangeBar {
     this.span.fix(from, to);
   }
 
+  /** Returns what a span without a range shows. The newest day can be an old one. */
+  #newest(at) {
+    const { newest_s: newest } = this.span;
+    if (newest === null) return t("no-data");
+    return this.isOfDays ? t("newest-data-at", at(newest)) : t("newest-data");
+  }
+
   #words() {
-    const { span, at } = this;
+    const { span } = this;
+    const at = this.isOfDays ? dateOf : time;
     const kept = span.lacks ? t("kept-since", at(span.keptFrom_s)) : "";
-    return (span.isLive ? this.live : `${at(span.from_s)} – ${at(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
+    return (span.isLive ? (this.live ?? this.#newest(at)) : `${at(span.from_s)} – ${at(span.to_s)} (${duration(span.to_s - span.from_s)})`) + kept;
   }
 }

@@ -18,7 +18,7 @@ import { COLUMNS, HEALTH, HINTS, clockWords, compared, conditionWords, levelWord
 const MOST_FULL = 6;
 
 /** States of a sensor without samples, whose clock says nothing. */
-const UNHEARD = ["gone", "silent", "ended", "unknown"];
+const UNHEARD = ["gone", "silent", "ended", "no-sample", "unknown"];
 
 /** The states of a sensor, in the order of a sorted table. */
 const STATES = Object.keys(HEALTH);
@@ -50,7 +50,7 @@ export class SensorsTab {
     this.search = searchField(this.sensors.size, t("find-a-sensor"), changed);
     // The samples of sensors with their own filters stay at their nodes.
     const stay = about.has_waveforms ? t("samples-stay-waveforms-come") : t("samples-stay-at-the-nodes");
-    const rate = t("all-channels-have-samples-per-second", number(about.sampling_rate_hz));
+    const rate = t("nominal-rate", number(about.sampling_rate_hz));
     this.nodes = new NodeTable();
     this.conditionList = h("ul", { class: "sensor-list", id: "conditions" });
     this.levels = h("tbody");
@@ -288,7 +288,7 @@ export class SensorsTab {
     const health = HEALTH[sensor.health];
     const { relation, fault } = compared(sensor.compared);
     const { offset, clock } = clockWords(sensor.clock, isReported && !UNHEARD.includes(sensor.health));
-    const isExcitation = this.page.about.is_filtered && about?.excitation && health.level !== "warning";
+    const isExcitation = this.page.about.is_filtered && about?.excitation && health.level !== "warning" && sensor.health !== "unknown";
     const lastUsed = sensor.last_used_s == null ? (isExcitation ? t("as-excitation") : "–") : time(sensor.last_used_s);
     element.dataset.level = health.level;
     element.dataset.channel = sensor.channel;

@@ -209,7 +209,7 @@ export class StructurePage {
     showStale(parts.stale, overview);
     const alive = overview.ended ? t("record-has-ended") : t("sensors-alive-of", sensors.alive, sensors.total) + troubledWords(sensors);
     const followed = overview.has_model ? t("updated-from-natural-frequencies") : t("no-model-natural-frequencies-only");
-    const facts = [...(overview.place ? [overview.place] : []), t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), overview.replayed ? lag(null, true) : t("lag-is", lag(overview.lag_s)), alive, ...(overview.is_filtered ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", overview.fit ? fitWord(overview) : t("not-judged-by-the-filter"))] : [followed])];
+    const facts = [...(overview.place ? [overview.place] : []), t("data-age", age(overview), overview.time_s ? t("and-measured", time(overview.time_s)) : ""), ...(overview.replayed ? [lag(null, true)] : overview.lag_s === null ? [] : [t("lag-is", lag(overview.lag_s))]), alive, ...(overview.is_filtered ? [t("facts-monitoring", wordOf(overview.monitoring ?? "unknown")), t("facts-fit", overview.fit ? fitWord(overview) : t("not-judged-by-the-filter"))] : [followed])];
     keyed(parts.facts, facts, (text) => `${facts.indexOf(text)} ${text === alive}`, (text) => ({ element: text === alive ? h("a", { href: sensorsOf(this.name) }) : h("span") }), ({ element }, text) => {
       setSentence(element, text);
       // The sentence names only some of many.

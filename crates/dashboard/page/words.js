@@ -115,7 +115,8 @@ export const HEALTH = {
   faulty: { sign: "▲", word: t("faulty-not-used"), level: "warning" },
   excluded: { sign: "◆", word: t("excluded-disagrees-with-the-others"), level: "warning" },
   ended: { sign: "■", word: t("record-has-ended"), level: "learning" },
-  unknown: { sign: "○", word: t("not-known-yet"), level: "learning" },
+  "no-sample": { sign: "✕", word: t("no-sample-since-the-server-started"), level: "warning" },
+  unknown: { sign: "○", word: wordOf("unknown"), level: "learning" },
 };
 
 /** Names, signs and levels of the states of distributed nodes. */

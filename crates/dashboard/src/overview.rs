@@ -13,12 +13,9 @@ use spandrel_earthquake::Urgency;
 use spandrel_earthquake::urgency::{Dated, peak_in, ranking};
 use spandrel_structure::Coordinates;
 use std::cmp::Ordering;
-use std::time::Duration;
 
 /// Maximum number of sensors that a sentence names. The page lists all of them in its table.
 const SENSORS_NAMED: usize = 4;
-/// Time after which a structure without any data counts as stale. Before, it may still be starting.
-const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 /// Lag (s) above which the estimates are too old to act on.
 const LATE_S: f64 = 10.0;
 /// Maximum number of further parts that the sentence of an alert names.
@@ -438,7 +435,7 @@ fn attention(store: &Store, sensors: &SensorCount) -> (Level, String) {
         let told = words.as_deref().into_iter().chain(told());
         return (level, told.collect::<Vec<_>>().join("; "));
     }
-    if store.state.silence().is_none() && store.state.now() >= NEVER_MEASURED_AFTER {
+    if store.has_never_measured() {
         let sentence =
             "no data since the server was started; check which services and sensors are running";
         return (Level::Stale, sentence.to_owned());

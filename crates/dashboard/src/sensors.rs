@@ -32,6 +32,8 @@ pub(crate) enum SensorHealth {
     Excluded,
     /// Its record or simulation has ended.
     Ended,
+    /// None of its samples has arrived since the start of the server, nor has any other data.
+    NoSample,
     /// No present message shows whether its samples are used.
     Unknown,
 }
@@ -51,7 +53,8 @@ impl SensorHealth {
             | Self::InDoubt
             | Self::Faulty
             | Self::Excluded => true,
-            Self::Alive | Self::Ended | Self::Unknown => false,
+            // The sentence on the missing data concerns all sensors.
+            Self::Alive | Self::Ended | Self::NoSample | Self::Unknown => false,
         }
     }
 }
@@ -76,20 +79,25 @@ pub(crate) struct SensorState<'s> {
 /// Returns the state of all channels in frame order.
 pub(crate) fn sensor_states(store: &Store) -> Vec<SensorState<'_>> {
     let sensors = store.about.drawing.sensors.iter();
-    let state = |sensor: &DrawnSensor| SensorState {
-        channel: sensor.channel.clone(),
-        node: sensor.node.clone(),
-        health: match health(store, sensor) {
-            SensorHealth::Alive if store.is_stale() => SensorHealth::Unknown,
-            health => health,
-        },
-        compared: compared(store, sensor),
-        clock: clock(store, sensor),
-        last_used_s: store
-            .used_ns
-            .get(sensor.channel.as_str())
-            .map(|time_ns| *time_ns as f64 / 1e9),
-        level: store.levels.of(sensor.channel.as_str()),
+    let state = |sensor: &DrawnSensor| {
+        let level = store.levels.of(sensor.channel.as_str());
+        let has_none = level.is_none() && store.has_never_measured();
+        SensorState {
+            channel: sensor.channel.clone(),
+            node: sensor.node.clone(),
+            health: match health(store, sensor) {
+                SensorHealth::Alive | SensorHealth::Unknown if has_none => SensorHealth::NoSample,
+                SensorHealth::Alive if store.is_stale() => SensorHealth::Unknown,
+                health => health,
+            },
+            compared: compared(store, sensor),
+            clock: clock(store, sensor),
+            last_used_s: store
+                .used_ns
+                .get(sensor.channel.as_str())
+                .map(|time_ns| *time_ns as f64 / 1e9),
+            level,
+        }
     };
     sensors.map(state).collect()
 }

@@ -13,6 +13,7 @@ use spandrel_bus::{
 };
 use spandrel_listener::{AlertChange, Input, STALE_AFTER, StructureState};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
 
 /// Maximum number of changes of alerts. A further change replaces the oldest. The page states it.
 const CHANGES_KEPT: usize = 500;
@@ -24,6 +25,8 @@ const MOST_CLASSES: usize = 64;
 /// Number of past points that a reader receives when it requests a series: 20 s of a waveform, or
 /// one second at 20 times real time.
 const OVERLAP: u64 = 200;
+/// Time after which a structure without any data counts as stale. Before, it may still be starting.
+const NEVER_MEASURED_AFTER: Duration = Duration::from_secs(30);
 /// Name of series that concern all channels together.
 pub(crate) const ALL_CHANNELS: &str = "all";
 
@@ -478,6 +481,11 @@ impl Store {
             Some(_) => self.state.stale_for().is_some(),
             None => self.state.now() > STALE_AFTER && !self.state.alerts.is_empty(),
         }
+    }
+
+    /// Returns `true` if no data has arrived although the server has had the time to receive some.
+    pub(crate) fn has_never_measured(&self) -> bool {
+        self.state.silence().is_none() && self.state.now() >= NEVER_MEASURED_AFTER
     }
 
     /// Returns the acknowledgement of an alert, with its wall-clock time.

@@ -197,9 +197,12 @@ fn before_anything_was_heard_nothing_is_claimed() {
 #[test]
 fn a_structure_of_which_nothing_ever_comes_needs_attention() {
     let mut store = demo();
+    let health = |store: &Store| sensor_states(store)[0].health;
     store.handle(at(29.0));
     assert_eq!(overview(&store).level, Level::Learning);
+    assert_eq!(health(&store), SensorHealth::Unknown);
     store.handle(at(31.0));
+    assert_eq!(health(&store), SensorHealth::NoSample);
     let found = overview(&store);
     assert_eq!(found.level, Level::Stale);
     assert!(
