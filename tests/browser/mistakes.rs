@@ -612,6 +612,7 @@ async fn sensors_events_and_settings_are_tables() {
         "Contactnone",
         "more than 5 %",
         "0.99",
+        "learnt in 30 s",
         "Items processed",
         "ingest",
     ] {

@@ -20,6 +20,17 @@ function listed(all, many) {
   return all.length > MOST_NAMED ? many(all.length) : all.map(({ name }) => name).join(", ");
 }
 
+/** Returns the facts of the judgement of lasting change: titles and texts. */
+function judged({ judged: quantities, judge: { false_alarms_per_year: budget, loss, commissioning_days: days, conditions } }) {
+  return [
+    [t("budget-of-the-structure"), t("false-alarms-a-year", number(budget))],
+    [t("loss-that-matters"), t("of-stiffness", `${number(100 * loss)} %`)],
+    [t("commissioning"), t("days", days)],
+    [t("judged-quantities"), quantities.join(", ")],
+    [t("conditions"), conditions.join(", ") || t("none")],
+  ];
+}
+
 export class SettingsTab {
   key = "settings";
   hasSpan = false;
@@ -30,13 +41,13 @@ export class SettingsTab {
     const heads = (columns) => h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text))));
     const scroll = (label) => ({ class: "scroll", tabindex: "0", role: "region", "aria-label": label });
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", { "data-head": COLUMNS.rules[column] }, text))));
-    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`]));
-    const fact = (title, text) => h("div", { class: text.length > LONG ? "fact fact-long" : "fact" }, h("dt", {}, title), h("dd", {}, text));
+    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s, learn_s: learn }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`, learn === null ? t("stated-reference") : t("learnt-in", number(learn))]));
+    const fact = (title, text, link) => h("div", { class: text.length > LONG ? "fact fact-long" : "fact" }, h("dt", {}, title), h("dd", {}, link ? h("a", { href: link, rel: "noreferrer" }, text) : text));
     // Many parameters have few different priors.
     const priors = grouped(about.parameters, ({ prior }) => prior.join()).map((equal) => `${equal[0].prior.map(number).join(" ± ")}: ${listed(equal, (size) => t("many-parameters", size))}`);
     const levels = grouped(about.noise.toSorted((a, b) => natural(a.name, b.name)), ({ std, unit: of }) => `${std} ${of}`);
     const noise = levels.map((equal) => `${listed(equal, (size) => t("many-channels", size))} ${number(equal[0].std)} ${unit(equal[0].unit)}`.trim());
-    const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, range[0], range[1], unit(of)) : `${name} (${unit(of)})`);
+    const range = ({ name, unit: of, range }) => (range ? t("settings-range", name, number(range[0]), number(range[1]), unit(of)) : `${name} (${unit(of)})`);
     this.element = h(
       "div",
       {},
@@ -57,10 +68,12 @@ export class SettingsTab {
           about.is_filtered && fact(t("priors"), priors.join("; ") || t("none")),
           about.is_filtered && fact(t("noise-levels"), noise.join("; ") || t("none")),
           fact(t("whom-to-call"), about.contact || t("none")),
+          fact(t("runbook"), about.runbook || t("none"), about.runbook),
           fact(t("conditions"), about.conditions.map(range).join(", ") || t("none")),
         ),
       ),
-      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 && !about.is_filtered ? h("p", { class: "group-text" }, t("without-a-filter-these-rules-raise-no")) : null, rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", { class: "rules" }, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, t("the-structure-file-contains-no-rule"))),
+      h("section", { class: "card" }, h("h2", {}, t("alert-rules")), rules.length > 0 && !about.is_filtered ? h("p", { class: "group-text" }, t("without-a-filter-these-rules-raise-no")) : null, rules.length > 0 ? h("div", scroll(t("alert-rules")), h("table", { class: "rules" }, heads(COLUMNS.rules), h("tbody", {}, rules))) : h("p", { class: "group-text" }, about.judge ? t("no-rule-but-judged") : t("the-structure-file-contains-no-rule"))),
+      about.judge && h("section", { class: "card", id: "settings-judge" }, h("h2", {}, t("lasting-change")), h("p", { class: "group-text" }, t("hint-settings-judge")), h("dl", { class: "facts" }, judged(about).map((of) => fact(...of)))),
       h("section", { class: "card" }, h("h2", {}, t("services")), h("div", scroll(t("services")), h("table", { class: "services" }, heads(COLUMNS.services), this.services))),
     );
   }

@@ -44,7 +44,7 @@ export const COLUMNS = {
   events: [t("time"), t("about"), t("what-happened"), ""],
   services: [t("service"), t("state"), t("lag"), t("items-processed"), t("dropped-or-corrected")],
   delays: [t("loss-of-stiffness"), t("found-after-median"), t("found-within-30-days")],
-  rules: [t("parameters"), t("loss"), t("probability-required"), t("duration-required")],
+  rules: [t("parameters"), t("loss"), t("probability-required"), t("duration-required"), t("reference")],
 };
 
 /** Explanations of column titles. */

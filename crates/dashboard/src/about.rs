@@ -1,7 +1,7 @@
 //! Data from the structure file that the page needs. It does not change while the dashboard runs.
 
 use serde::Serialize;
-use spandrel_structure::{Coordinates, Drawing, Structure};
+use spandrel_structure::{Coordinates, Drawing, Reference, Structure};
 
 /// Description of a structure, without measurements.
 #[derive(Clone, Debug, Serialize)]
@@ -33,6 +33,8 @@ pub(crate) struct About {
     pub(crate) conditions: Vec<AboutCondition>,
     /// Names of the quantities that are judged for lasting change.
     pub(crate) judged: Vec<String>,
+    /// How they are judged. `None` without a table `[judge]`.
+    pub(crate) judge: Option<AboutJudge>,
     /// Whether earthquakes are reported.
     pub(crate) earthquakes: bool,
     /// Modes that are followed.
@@ -84,6 +86,18 @@ pub(crate) struct AboutCondition {
     pub(crate) range: Option<(f64, f64)>,
 }
 
+/// The settings of the judgement of lasting change.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct AboutJudge {
+    /// Expected number of false alarms per year, for all quantities together.
+    pub(crate) false_alarms_per_year: f64,
+    /// Loss of stiffness that matters, as a share.
+    pub(crate) loss: f64,
+    pub(crate) commissioning_days: u32,
+    /// Names of the conditions whose effect is removed.
+    pub(crate) conditions: Vec<String>,
+}
+
 /// An alert rule.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct AboutRule {
@@ -91,6 +105,8 @@ pub(crate) struct AboutRule {
     pub(crate) loss: f64,
     pub(crate) credibility: f64,
     pub(crate) sustain_s: f64,
+    /// Time for which the reference is learnt (s). `None` if the structure file states it.
+    pub(crate) learn_s: Option<f64>,
 }
 
 impl About {
@@ -138,6 +154,21 @@ impl About {
             loss: rule.loss,
             credibility: rule.credibility,
             sustain_s: rule.sustain_s,
+            learn_s: match rule.reference {
+                Reference::Baseline { learn_s } => Some(learn_s),
+                Reference::Given { .. } => None,
+            },
+        });
+        let judge = structure.judge().map(|plan| &plan.settings);
+        let judge = judge.map(|settings| AboutJudge {
+            false_alarms_per_year: settings.false_alarms_per_year,
+            loss: settings.loss,
+            commissioning_days: settings.commissioning_days,
+            conditions: settings
+                .conditions
+                .iter()
+                .map(|condition| condition.name.clone())
+                .collect(),
         });
         Self {
             name: structure.name().to_owned(),
@@ -159,6 +190,7 @@ impl About {
             noise: noise.collect(),
             conditions: conditions.collect(),
             judged: judged.map(|quantity| quantity.name.clone()).collect(),
+            judge,
             earthquakes: structure.earthquakes().is_some(),
             modes: modes.collect(),
             rules: rules.collect(),

@@ -152,6 +152,9 @@ fn past_of_the_loss() -> JudgementLog {
 #[tokio::test(flavor = "multi_thread")]
 async fn lasting_loss_is_an_alert_that_is_acknowledged_as_an_annotation() {
     let site = Site::of(Listen::At("127.0.0.1:0".into()).into(), JUDGE).await;
+    let about = site.get("/api/structures/demo").await.json()["about"].clone();
+    assert_eq!(about["judge"]["false_alarms_per_year"], 0.1);
+    assert_eq!(about["judge"]["commissioning_days"], 365);
     let key = site.keys.judgement(&name("storey-2"));
     let judgements = site.bus.publish_display(key).await.unwrap();
     let key = site.keys.annotation();
