@@ -35,7 +35,7 @@ export class AlertsPage {
       h("h2", {}, t("now")),
       this.none,
       this.standing.elements,
-      h("h2", {}, t("past-changes")),
+      h("h2", {}, t("history")),
       this.noChanges,
       this.changes.elements,
       this.left,
@@ -87,7 +87,10 @@ export class AlertsPage {
     // A lasting loss keeps the day on which it was found.
     const withRaised = (alert) => ({ ...alert, raised_ns: isLasting(alert) ? alert.changed_ns : raised(alert)?.changed_ns });
     const standing = this.answer.standing.filter(isAsked).map(withRaised).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.changed_ns - a.changed_ns || natural(a.parameter, b.parameter));
-    const all = this.answer.changes.filter(isAsked);
+    // The last change of an alert is the alert above.
+    const stateOfChange = (alert) => `${keyOfAlert(alert)}/${alert.state}/${changedAt(alert)}`;
+    const shownAbove = new Set(this.answer.standing.map(stateOfChange));
+    const all = this.answer.changes.filter((change) => isAsked(change) && !shownAbove.has(stateOfChange(change)));
     const changes = all.slice(0, MOST_CHANGES);
     this.left.hidden = all.length <= MOST_CHANGES;
     setText(this.left, t("older-changes-not-shown", all.length - changes.length));
@@ -150,7 +153,7 @@ class AlertList {
   }
 
   #make() {
-    const parts = { badge: h("span", { class: "badge" }), who: h("span", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("span", { class: "when" }), link: h("a", { class: "button small" }), help: makeHelp() };
+    const parts = { badge: h("span", { class: "badge" }), who: h("a", { class: "who" }), why: h("p", { class: "sentence", lang: SERVICES }), now: h("p", { class: "now", lang: SERVICES }), seen: h("p", { class: "seen" }), revised: h("p", { class: "seen" }), when: h("span", { class: "when" }), link: h("a", { class: "button small" }), help: makeHelp() };
     parts.button = this.canAcknowledge ? h("button", { type: "button", class: "acknowledge", onclick: () => this.dialog.open(parts.alert) }) : null;
     parts.element = h("li", { class: "card alert" }, h("div", { class: "card-head" }, parts.badge, parts.who, parts.when), parts.why, parts.now, parts.seen, parts.revised, parts.help.element, h("div", { class: "actions" }, parts.button, parts.link));
     return parts;
@@ -159,8 +162,8 @@ class AlertList {
 
 /** Creates the lines that say whom to call about an alert, and who was notified. */
 export function makeHelp() {
-  const parts = { contact: h("span"), runbook: h("a", { rel: "noreferrer" }, t("runbook")), sent: h("p"), failed: h("p", { "data-level": "warning" }) };
-  parts.call = h("p", { class: "call" }, parts.contact, " ", parts.runbook);
+  const parts = { contact: h("span"), between: h("span", {}, " · "), runbook: h("a", { rel: "noreferrer" }, t("runbook")), sent: h("p"), failed: h("p", { "data-level": "warning" }) };
+  parts.call = h("p", { class: "call" }, parts.contact, parts.between, parts.runbook);
   parts.element = h("div", { class: "help" }, parts.call, parts.sent, parts.failed);
   return parts;
 }
@@ -172,6 +175,7 @@ export function updateHelp(parts, alerts) {
   parts.call.hidden = !contact && !runbook;
   showContact(parts.contact, contact ? t("contact", contact) : "");
   parts.runbook.hidden = !runbook;
+  parts.between.hidden = !contact || !runbook;
   setAttribute(parts.runbook, "href", runbook ?? null);
   const notices = grouped(needed.flatMap(({ notices }) => notices ?? []).sort((a, b) => b.time_ns - a.time_ns), ({ receiver }) => receiver).map(([newest]) => newest);
   const show = (element, some, sentence) => {
@@ -217,6 +221,7 @@ function updateAlert(parts, alert) {
   const stale = isLasting(alert) ? t("stale-the-service-judge-is-gone") : t("stale-the-alert-service-is-gone");
   setText(parts.badge, `${state.sign} ${state.word}${alert.stale ? stale : ""}`);
   setText(parts.who, `${alert.structure} / ${alert.parameter}${isLasting(alert) ? ` (${wordOf(alert.kind)})` : ""}`);
+  parts.who.href = place(alert.structure);
   // The sentence of a normal parameter is as old as its first decision.
   const isNormal = alert.state === "normal" && alert.now;
   setAttribute(parts.why, "lang", isNormal ? null : SERVICES);

@@ -33,7 +33,7 @@ export class NoteDialog {
     this.from = h("input", { type: "datetime-local", step: 1 });
     this.to = h("input", { type: "datetime-local", step: 1 });
     this.told = h("p", { class: "told", role: "status" });
-    this.send = h("button", { type: "submit", class: "acknowledge" }, t("save-the-note"));
+    this.send = h("button", { type: "submit", class: "main" }, t("save-the-note"));
     this.element = h(
       "dialog",
       { id: "note-dialog", "aria-labelledby": "note-title" },
