@@ -234,7 +234,7 @@ function eventsOf({ events }, changes) {
   const ofAlert = (change) => {
     const { parameter, state, changed_ns: measured, why } = change;
     const { sign, level } = STATES[state];
-    return { time_s: changedAt(change), when: timeOfAlert(change, changedAt(change)), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why, seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
+    return { time_s: changedAt(change), when: timeOfAlert(change, changedAt(change)), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why.replace(/\.$/, ""), seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
   };
   const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, when: time(time_ns / 1e9), measured_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);
