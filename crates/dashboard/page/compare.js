@@ -185,7 +185,7 @@ export class CompareTab {
     this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": t("differences") }, h("table", { class: "differences" }, h("thead", {}, heads), this.rows));
     this.lengths = h("p", { class: "group-text" });
     this.sentence = h("p", { class: "sentence" });
-    this.hidden = h("p", { class: "sentence is-hidden-loss", hidden: true });
+    this.hidden = h("p", { class: "is-hidden-loss", hidden: true });
     this.late = lateNotice(() => this.#load());
     this.late.hidden = true;
     this.all = h("button", { type: "button", class: "back", hidden: true, onclick: () => this.points.extent.live() }, t("whole-ranges"));
@@ -238,7 +238,7 @@ export class CompareTab {
   /** Returns the active alerts { parameter, since_s, … } of the structure. */
   #alerts() {
     const { alerts, lasting_alerts: lasting } = this.page.standing();
-    return [...alerts, ...lasting].filter(({ state, since_ns: since }) => ACTIVE.includes(state) && since !== null).map((alert) => ({ ...alert, since_s: alert.since_ns / 1e9 }));
+    return [...alerts, ...lasting].filter(({ state, since_ns: since }) => ACTIVE.includes(state) && since != null).map((alert) => ({ ...alert, since_s: alert.since_ns / 1e9 }));
   }
 
   /**
