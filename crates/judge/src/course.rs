@@ -4,6 +4,7 @@ use crate::cumulant::CLIP;
 use crate::cusum;
 use crate::day::{Day, DayEpochs};
 use crate::detector::{Detector, Evidence, StepEstimate};
+use crate::interval;
 use crate::judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
 use crate::model::{Explanation, Row};
 use crate::present::{DayChange, LatestChanges};
@@ -20,6 +21,9 @@ const RETRY_DAYS: i64 = 7;
 const LEARNED_AWAY_QUANTILE: f64 = 3.090;
 /// Quantile of a 95 % interval.
 const INTERVAL_QUANTILE: f64 = 1.960;
+/// A day with more than this share of the logarithm of the threshold does not teach the width of the
+/// interval, because a change must not widen it.
+const CHANGE_SHARE: f64 = 0.5;
 /// Days after a finding on which its first day is estimated again. Later days can contain further
 /// changes, which would move it.
 const DATING_DAYS: i64 = 30;
@@ -66,6 +70,8 @@ struct Judging {
     last_day: i64,
     /// Changes on the latest days.
     latest: LatestChanges,
+    /// q: half of the 95 % interval of a day, in units of its scatter.
+    quantile: f64,
 }
 
 /// What the histories of all quantities of a structure share.
@@ -210,6 +216,7 @@ impl Judging {
             cusum_threshold: cusum::threshold(365.25 / frame.per_year()),
             last_day: reference.to_day,
             latest: LatestChanges::default(),
+            quantile: reference.quantile,
             reference,
         }
     }
@@ -259,6 +266,13 @@ impl Judging {
             self.latest.add(self.day_change(day.number, &row, variance));
         }
         let expectation = self.expectation(day, &expected, z);
+        let shows_change = self
+            .detector
+            .exceeds(CHANGE_SHARE * self.reference.ln_threshold);
+        if !alarm && novelty.is_none() && !shows_change {
+            let error = (row.y - expected.value) / expected.scatter_std;
+            self.quantile = interval::next(self.quantile, self.reference.quantile, error);
+        }
         if !alarm {
             let learnt = Learnt {
                 z,
@@ -319,7 +333,7 @@ impl Judging {
 
     fn expectation(&self, day: &Day, expected: &Expected, z: f64) -> Expectation {
         let centre = self.reference.centre;
-        let half = self.reference.quantile * expected.scatter_std;
+        let half = self.quantile * expected.scatter_std;
         Expectation {
             measured: day.value(),
             expected: (expected.value + centre).exp(),

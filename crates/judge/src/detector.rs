@@ -185,6 +185,11 @@ impl Detector {
         self.total(|candidate| &candidate.gain)
     }
 
+    /// Returns `true` if the evidence of a loss or of a gain exceeds a threshold.
+    pub(crate) fn exceeds(&self, ln_threshold: f64) -> bool {
+        self.ln_loss().max(self.ln_gain()) >= ln_threshold
+    }
+
     /// Returns `true` if a loss that matters has begun, and has been seen for some days.
     pub(crate) fn finds_loss(&self) -> bool {
         self.held_loss >= HELD_DAYS

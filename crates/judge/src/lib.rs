@@ -49,6 +49,7 @@
 //! - `regression`, `choice`: a dynamic linear model with priors in physical units
 //! - `cumulant`, `detector`, `cusum`: the evidence of a lasting step
 //! - `calibration`: the threshold that holds the budget
+//! - `interval`: the width of the 95 % interval, which follows the judged days
 //!
 //! Logic:
 //!
@@ -87,6 +88,7 @@ mod calibration;
 mod cumulant;
 mod cusum;
 mod detector;
+mod interval;
 
 mod budget;
 mod condition_watch;

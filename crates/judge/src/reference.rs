@@ -8,6 +8,7 @@ use crate::day::Day;
 use crate::extremes::Extremes;
 use crate::frost::KNOTS;
 use crate::inertia::Past;
+use crate::interval::INTERVAL;
 use crate::model::{Columns, DEVIATIONS, Deviation, Row, Structure};
 use crate::regression::{Posterior, Series, Taught, weight};
 use crate::settings::Season;
@@ -55,7 +56,8 @@ pub(crate) struct Reference {
     last_frost_day: i64,
     /// The lowest and highest learnt values of each condition.
     extremes: Vec<Extremes>,
-    /// Half of the 95 % interval of a day, in standard deviations of the model.
+    /// q at the end of the commissioning: half of the 95 % interval of a day, in units of its
+    /// scatter.
     pub(crate) quantile: f64,
     pub(crate) coverage: f64,
     /// First and last day of the commissioning.
@@ -405,8 +407,6 @@ fn coverage(series: Series<'_>, sigma: f64) -> f64 {
 
 /// Length of a commissioning that contains all seasons (days).
 pub(crate) const YEAR_DAYS: i64 = 330;
-/// Share of the days in their interval.
-const INTERVAL: f64 = 0.95;
 
 /// Smallest standard deviation of u in ln(frequency) that a step must exceed, after a commissioning
 /// that does not contain all seasons. Other seasons can bring larger deviations.
@@ -424,7 +424,7 @@ fn deviation(columns: &Columns, structure: &Structure, days: i64) -> Deviation {
 /// Returns half of the 95 % interval of a day, in units of its scatter.
 ///
 /// It is the quantile that holds 95 % of the days if they contain all seasons. Otherwise it is that
-/// of the model.
+/// of the model. The judged days adapt it.
 ///
 /// The quantile of n days is exceeded by more than its share of further days, by a factor of 1 +
 /// 1/n for independent days. Successive errors are correlated by ρ, and their squares by ρ². The

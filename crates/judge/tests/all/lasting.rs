@@ -1,6 +1,6 @@
 //! What remains of a loss: an alarm stays, and a gain counts from the commissioning.
 
-use crate::support::{describe, judge, noise, settings};
+use crate::support::{coverage, describe, judge, noise, settings};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use spandrel_judge::{Epoch, Finding, Judge, Judgement, State};
@@ -184,4 +184,28 @@ fn the_report_names_the_losses_that_a_short_commissioning_cannot_show() {
     };
     assert_eq!(delay(0.02), None);
     assert!(delay(0.10).is_some());
+}
+
+/// A commissioning of 120 days does not show the errors of other seasons, so the interval is wide
+/// at first. Regression test: it remained too wide, and held nearly all days.
+#[test]
+fn the_interval_holds_its_share_of_the_days_after_a_short_commissioning() {
+    let mut share = 0.0;
+    for seed in 1..=4 {
+        let judgements = commissioned(seed, 485, 120, |_| 1.0).1;
+        share += coverage(judgements.iter()) / 4.0;
+    }
+    assert!((0.93..0.97).contains(&share), "{share}");
+}
+
+/// The deviation from a lost stiffness says nothing about the errors of a sound day.
+#[test]
+fn a_loss_hardly_widens_the_interval() {
+    let width = |loss: f64| {
+        let judgements = judged(1, 560, |day| if day < 430.0 { 1.0 } else { 1.0 - loss });
+        let [low, high] = judgements.last().unwrap().expectation.unwrap().interval;
+        (high / low).ln()
+    };
+    let (sound, lost) = (width(0.0), width(0.05));
+    assert!(lost < 1.5 * sound, "{sound}, {lost}");
 }
