@@ -109,6 +109,19 @@ async fn the_page_is_in_german_for_a_german_browser() {
     browser.screenshot("german").await;
     let language = "document.documentElement.lang";
     assert_eq!(browser.evaluate(language).await, "de");
+    // Regression test: dates of services had another format, and counters had English names.
+    let told = "(async () => { const { setSentence } = await import('/time.js'); \
+                const { wordOf } = await import('/language.js'); \
+                const line = document.createElement('p'); line.lang = 'en'; \
+                setSentence(line, 'lost 12 % since 2026-11-29 12:30:14 UTC, file 2026-11-29T12'); \
+                return [line.textContent, wordOf('duplicate-items')]; })()";
+    assert_eq!(
+        browser.evaluate(told).await,
+        json!([
+            "Lost 12 % since 29.11.2026 12:30:14 UTC, file 2026-11-29T12",
+            "doppelte Werte"
+        ])
+    );
 
     // The switch keeps the place, and the browser stores the choice.
     browser

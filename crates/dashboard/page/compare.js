@@ -179,7 +179,7 @@ export class CompareTab {
     this.told = h("p", { class: "told", role: "status" });
     this.usual = USUAL.map(([text, length_s]) => h("button", { type: "button", onclick: () => this.#choose(this.#newest(length_s)) }, text));
     this.sinceAlert = h("button", { type: "button", hidden: true, onclick: () => this.#showUsual() }, t("before-and-since-the-alert"));
-    this.form = h("form", { class: "two-ranges", onsubmit: (event) => this.#submit(event) }, KEYS.map(range), h("div", { class: "ranges" }, h("button", { type: "submit", class: "main" }, t("compare")), this.sinceAlert, h("button", { type: "button", onclick: () => this.#showHalves() }, t("halves-of-the-shown-span")), this.usual), this.told);
+    this.form = h("form", { class: "two-ranges", onsubmit: (event) => this.#submit(event) }, KEYS.map(range), h("div", { class: "ranges" }, h("button", { type: "submit", class: "main" }, t("compare-the-ranges")), this.sinceAlert, h("button", { type: "button", onclick: () => this.#showHalves() }, t("halves-of-the-shown-span")), this.usual), this.told);
     this.rows = h("tbody");
     const heads = h("tr", {}, COLUMNS.differences.map((text) => h("th", { scope: "col" }, text)));
     this.table = h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": t("differences") }, h("table", { class: "differences" }, h("thead", {}, heads), this.rows));

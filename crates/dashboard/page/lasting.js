@@ -6,7 +6,7 @@ import { t } from "./language.js";
 import { NoteDialog } from "./note.js";
 import { RangeBar } from "./ranges.js";
 import { DAY_S, Span } from "./span.js";
-import { COLUMNS, LEVELS, judged, judgementWords, number, percent, wordOf, SERVICES } from "./words.js";
+import { COLUMNS, LEVELS, judged, judgementWords, number, percent, setSentence, wordOf, SERVICES } from "./words.js";
 import { Extent, conditionScatter, evidencePlot, residualPlot, valuePlot } from "./year.js";
 
 /** Selectable lengths (s). */
@@ -130,7 +130,7 @@ export class LastingTab {
     const level = judgement ? judgementWords(judgement).level : "learning";
     this.card.dataset.level = level;
     setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? t("no-quantity")}`);
-    setText(this.sentence, judgement?.sentence ?? t("the-service-judge-has-not-reported-yet"));
+    setSentence(this.sentence, judgement?.sentence ?? t("the-service-judge-has-not-reported-yet"));
     const seen = judgement?.seen;
     this.spent = judgement?.spent ?? null;
     this.seen.hidden = !seen;
@@ -190,7 +190,7 @@ function facts({ reference, rows, kind, loss, commissioning_days: needed, false_
   const { from_ns: from, to_ns: to, coverage, scatter, knows_frost: frost, promised_per_year: promised, achieved_per_year: achieved } = reference;
   return [
     [t("reference"), `${t("range", dateOf(noon(from)), dateOf(noon(to)))}${frost === false ? t("without-frost") : ""}`],
-    [t("scatter-of-a-day"), t("of-the", percent(scatter, 2), kind)],
+    [t("scatter-of-a-day"), t("of-the", percent(scatter, 2), wordOf(kind))],
     [t("later-days-in-the-95-per-cent"), percent(coverage, 0)],
     [t("promised-false-alarms-a-year"), t("of-for-the-structure", number(promised), number(budget))],
     [t("in-simulated-years"), t("false-alarms-a-year", number(achieved))],

@@ -6,7 +6,7 @@ import { PlotGroup } from "./groups.js";
 import { language, t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isBlind, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, stateOf, step } from "./words.js";
+import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isBlind, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, setSentence, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -163,7 +163,7 @@ export class NowTab {
     }, (part, judgement) => {
       const { level, text } = judgementWords(judgement);
       part.element.dataset.level = level;
-      setText(part.text, text);
+      setSentence(part.text, text);
     });
   }
 }

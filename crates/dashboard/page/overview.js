@@ -85,11 +85,13 @@ function summary(structures, shaken) {
   const { level } = structures[0] ?? { level: "learning" };
   if (structures.length === 0) return { level, text: t("no-structure-is-watched") };
   const of = structures.length === 1 ? t("1-structure") : t("many-structures", structures.length);
+  // German has another form behind a preposition.
+  const among = structures.length === 1 ? t("1-structure") : t("of-many-structures", structures.length);
   const at = (...levels) => structures.filter((one) => levels.includes(one.level));
   const urgent = at("alarm", "stale", "warning");
   const told = (key, of_level, ...values) => ({ level: of_level, text: t(key, LEVELS[of_level].sign, ...values) });
-  if (urgent.length === 1) return told("1-of-needs-attention", level, of, urgent[0].name);
-  if (urgent.length > 1) return told("of-need-attention", level, urgent.length, of, namesOrCounts(urgent));
+  if (urgent.length === 1) return told("1-of-needs-attention", level, among, urgent[0].name);
+  if (urgent.length > 1) return told("of-need-attention", level, urgent.length, among, namesOrCounts(urgent));
   const inspected = shaken.filter(({ earthquake }) => INSPECTED.includes(earthquake.urgency));
   if (inspected.length > 0) return told("watched-an-inspector-is-needed", URGENCIES[inspected[0].earthquake.urgency], of, inspected.map(({ name }) => name).join(", "));
   const [seen, open] = [at("notice"), at("undecided", "learning")];

@@ -10,8 +10,8 @@ const ZONE_KEY = "spandrel-zone";
  * record.
  */
 const WITHOUT_DATES_BEFORE_S = 1e8;
-/** A date, or a date with a time and a zone, in a sentence of a service or of the page. */
-const STAMP = /(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})(?: \d\d:\d\d:\d\d UTC(?:[+−]\d+(?::\d\d)?)?)?/g;
+/** A date, or a date with a time and a zone, in a sentence of a service or of the page. No part of a name is one. */
+const STAMP = /(?<![\p{L}\d_./-])(?:\d{4}-\d\d-\d\d|\d\d\.\d\d\.\d{4})(?![\p{L}\d_-])(?: \d\d:\d\d:\d\d UTC(?:[+−]\d+(?::\d\d)?)?)?/gu;
 
 let local = localStorage.getItem(ZONE_KEY) === "local";
 
@@ -112,8 +112,9 @@ export function capitalised(text) {
 }
 
 /**
- * Shows a sentence with its times in the shown zone. The server writes times in UTC. No time and no
- * short name breaks at the end of a line. A sentence of a service starts with a capital letter.
+ * Shows a sentence with its times in the shown zone and in the format of the page. The server writes
+ * times in UTC, as ISO 8601. No time and no short name breaks at the end of a line. A sentence of a
+ * service starts with a capital letter.
  */
 export function setSentence(element, sentence) {
   const text = element.lang === SERVICES ? capitalised(sentence) : sentence;
@@ -124,7 +125,9 @@ export function setSentence(element, sentence) {
   let end = 0;
   for (const { 0: stamp, index } of text.matchAll(STAMP)) {
     const seconds = Date.parse(stamp.replace(" ", "T").replace(" UTC", "Z")) / 1000;
-    const shown = stamp.endsWith("UTC") && Number.isFinite(seconds) ? written(seconds, moment(seconds).date) : stamp;
+    // A date in the format of the page is already in its zone. Some browsers read it with the month first.
+    const isKnown = Number.isFinite(seconds) && /^\d{4}-/.test(stamp);
+    const shown = !isKnown ? stamp : stamp.endsWith("UTC") ? written(seconds, inLanguage(moment(seconds).date)) : inLanguage(stamp);
     pieces.push(...unbroken(withMinus(text.slice(end, index))), whole(shown));
     end = index + stamp.length;
   }
