@@ -190,6 +190,12 @@ async fn a_print_of_each_tab_is_complete() {
              one.getBoundingClientRect().right)].filter((right) => right > 680)"
         );
         assert_eq!(browser.evaluate(&wide).await, json!([]), "{tab} is cut off");
+        let columns = format!(
+            "[...document.querySelectorAll('#panel-{tab} .plots')].filter((one) => \
+             one.checkVisibility() && \
+             getComputedStyle(one).gridTemplateColumns.split(' ').length !== 2).length"
+        );
+        assert_eq!(browser.evaluate(&columns).await, 0, "{tab} in print");
         // Regression test: tables were printed over what follows, and room was left below plots.
         let misfits = format!(
             "[...document.querySelectorAll('#panel-{tab} :is(.scroll, .plot-holder)')].filter((one) \
@@ -197,16 +203,19 @@ async fn a_print_of_each_tab_is_complete() {
              return one.matches('.scroll') ? maxHeight !== 'none' : minHeight !== '0px'; }}).length"
         );
         assert_eq!(browser.evaluate(&misfits).await, 0, "{tab} in print");
-        // Regression test: a print did not name its tab, and contained controls.
+        // Regression test: a print did not name its tab or its time, and contained controls. It lacked
+        // the contact and the age of the data.
         let titled = format!(
             "[document.querySelector('h1').innerText === `demo – \
              ${{document.getElementById('tab-{tab}').textContent}}`, \
              [...document.querySelectorAll('#panel-{tab} :is(.check, select)')].filter((one) => \
-             one.checkVisibility()).length]"
+             one.checkVisibility()).length, /printed 20..-..-.. /.test(document\
+             .querySelector('p.printed').innerText), document.querySelector('.facts-line')\
+             .checkVisibility()]"
         );
         assert_eq!(
             browser.evaluate(&titled).await,
-            json!([true, 0]),
+            json!([true, 0, true, true]),
             "{tab} in print"
         );
         if !table.is_empty() {

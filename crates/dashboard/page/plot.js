@@ -17,6 +17,11 @@ const HEIGHT = 220;
 const WORD_ROW = 15;
 const WORD_SIZE = 12;
 const TOP_ROOM = 8;
+/**
+ * Widths at which a plot is drawn for paper (px), beside another one or alone in its row. The style sheet
+ * shrinks both to their place by the same factor, so that all plots of a page have letters of one size.
+ */
+const PAPER = { half: 450, whole: 954 };
 /** Minimum gap in time, in usual steps, that no line crosses. A busy service publishes every tenth value. */
 export const HOLE_STEPS = 12;
 
@@ -199,6 +204,14 @@ export class Plot {
     // moment in refetched data.
     const { left, top } = this.#uplot.cursor;
     this.#uplot.setCursor({ left, top });
+  }
+
+  /** Draws the plot in its size on paper, or again in that of the window. */
+  print(isOnPaper) {
+    if (isOnPaper) this.drawNow();
+    const isWhole = !this.element.parentElement?.matches(".plots") || getComputedStyle(this.element).gridColumnEnd === "-1";
+    if (!isOnPaper) this.#resize();
+    else this.#uplot?.setSize({ width: isWhole ? PAPER.whole : PAPER.half, height: this.#height });
   }
 
   /** Provides the functions of the mouse by keyboard. */

@@ -2,6 +2,7 @@
 
 import { AcknowledgeDialog, labelButton, makeHelp, updateHelp } from "./alerts.js";
 import { CompareTab } from "./compare.js";
+import { dateOf } from "./course.js";
 import { h, keyed, setText } from "./dom.js";
 import { EventsTab } from "./events.js";
 import { t } from "./language.js";
@@ -16,7 +17,7 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { DAY_S, Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { AROUND_S, SERVICES, TABS, addressOf, attentionWords, bySeverity, canBeSeen, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
+import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, attentionWords, bySeverity, canBeSeen, duration, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
@@ -24,6 +25,7 @@ const DRAW_EVERY_MS = 250;
 const MOST_BUTTONS = 2;
 /** States of an alert whose figures are those of its time. An unconfirmed one can have older figures. */
 const DATED = ["raised", "acknowledged"];
+const PRINT = ["beforeprint", "afterprint"];
 
 /** Returns the alerts of the rules and the lasting losses. */
 const alertsOf = ({ alerts, lasting_alerts: lasting }) => [...alerts, ...lasting];
@@ -44,8 +46,9 @@ export class StructurePage {
     this.head = h("div", { class: "attention" });
     /** Name of the tab, which a print shows behind the name of the structure. */
     this.printed = h("span", { class: "printed" });
+    this.paper = h("p", { class: "printed description" });
     this.body = h("div", {}, h("p", { class: "empty" }, t("loading")));
-    this.element = h("div", { class: "structure" }, h("h1", {}, h("span", { class: "way" }, h("a", { class: "crumb", href: "#/" }, t("structures")), " / "), name, this.printed), this.head, this.body);
+    this.element = h("div", { class: "structure" }, h("h1", {}, h("span", { class: "way" }, h("a", { class: "crumb", href: "#/" }, t("structures")), " / "), name, this.printed), this.paper, this.head, this.body);
     this.dialog = new AcknowledgeDialog();
     this.#leave = [
       connection.on("structure", ({ standing }) => this.#show(standing)),
@@ -58,11 +61,13 @@ export class StructurePage {
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recolour = () => this.tabs?.forEach((of) => of.plots.forEach((plot) => plot.recolour()));
     this.scheme.addEventListener("change", this.recolour);
-    this.print = () => {
-      this.#current?.plots.forEach((plot) => plot.drawNow());
-      this.#current?.draw?.({ isPrint: true });
+    this.print = ({ type }) => {
+      const isOnPaper = type === "beforeprint";
+      this.#current?.plots.forEach((plot) => plot.print(isOnPaper));
+      if (isOnPaper) this.#unfold();
+      else if (this.parts) this.#foldHead();
     };
-    addEventListener("beforeprint", this.print);
+    for (const event of PRINT) addEventListener(event, this.print);
     this.timer = setInterval(() => this.#draw(), DRAW_EVERY_MS);
     this.span.onchange(() => this.#respan());
     this.#load(parameters);
@@ -74,7 +79,7 @@ export class StructurePage {
     this.#leave.forEach((leave) => leave());
     clearInterval(this.timer);
     this.scheme.removeEventListener("change", this.recolour);
-    removeEventListener("beforeprint", this.print);
+    for (const event of PRINT) removeEventListener(event, this.print);
     this.tabs?.forEach((tab) => tab.plots.forEach((plot) => plot.close()));
   }
 
@@ -161,6 +166,21 @@ export class StructurePage {
     this.#current.plots.forEach((plot) => plot.show());
     this.#current.restart?.();
     if (this.#standing) this.#current.update(this.#standing);
+  }
+
+  /** Shows what only a print needs: the contact, the age of the data, the span, and the time of the print. */
+  #unfold() {
+    if (!this.parts || !this.#current) return;
+    this.#current.draw?.({ isPrint: true });
+    this.parts.more.open = true;
+    const span = this.#current.hasSpan ? this.span : this.#current.span;
+    const at = this.#current.key === "lasting" ? dateOf : time;
+    const { min, max } = span?.shown ?? {};
+    // The newest events have no span.
+    const isKnown = Number.isFinite(min) && Number.isFinite(max) && !(this.#current.key === "events" && span.isLive);
+    const shown = isKnown ? [t("report-period", at(min), at(max), duration(max - min))] : [];
+    const texts = [this.about.description, ...shown, t("printed-at", time(Date.now() / 1000))];
+    setText(this.paper, texts.filter(Boolean).join(" · "));
   }
 
   /** Folds the details of the state away, except beside the parts. The plots of the other tabs need the room. */
