@@ -590,6 +590,13 @@ async fn sensors_events_and_settings_are_tables() {
         )
         .await;
     browser.screenshot("sensors").await;
+    // Regression test: the names of a sensor and a node pushed the other columns out of sight.
+    let named = "(() => { const row = document.querySelector('#sensors tbody tr'); \
+                 for (const column of [0, 2]) row.children[column].textContent = \
+                 'accelerometer-in-the-cellar-of-the-northern-abutment'; \
+                 const { scrollWidth, clientWidth } = row.closest('.scroll'); \
+                 return scrollWidth <= clientWidth; })()";
+    assert_eq!(browser.evaluate(named).await, true, "columns out of sight");
     browser
         .evaluate("document.getElementById('tab-events').click()")
         .await;

@@ -193,6 +193,13 @@ async fn a_report_contains_everything_about_a_period_and_prints() {
       })";
     assert_eq!(browser.evaluate(beyond).await, json!([true, true]));
 
+    // Regression test: long names of parts and sensors made the report wider than its sheet.
+    let named = "(() => { for (const cell of ['is-parameters tbody th', 'is-events td:nth-child(2)', \
+                 'is-sensors tbody th', 'is-sensors td:nth-child(3)']) \
+                 document.querySelector(`.${cell}`).textContent = 'n'.repeat(60); \
+                 return document.documentElement.scrollWidth <= innerWidth; })()";
+    assert_eq!(browser.evaluate(named).await, true, "wider than the window");
+
     // In print, the form and the bar are hidden, and colours are those of paper.
     let print = json!({"media": "print"});
     browser.call("Emulation.setEmulatedMedia", print).await;
