@@ -1,6 +1,7 @@
 //! The year of a judged quantity on the page: 510 days that the service judge has in its file.
 
 use super::{Browser, Program, browser, free_address};
+use serde_json::json;
 use spandrel_checkpoint::fingerprint;
 use spandrel_validate::{StiffnessLoss, seasons};
 use std::fmt::Write as _;
@@ -291,6 +292,15 @@ async fn the_plots_are_zoomed_and_read_by_keyboard(browser: &mut Browser) {
         readout("scatter")
     );
     browser.wait("values over the temperature", &scatter).await;
+    // A hollow shape means the same in all plots of the tab.
+    let hollow = "['year', 'scatter'].map((plot) => [...document.querySelectorAll(`#plot-${plot} \
+                  .legend [fill=none]:only-child`)].map((one) => one.closest('li').textContent))";
+    let outside = ["outside experience"];
+    assert_eq!(
+        browser.evaluate(hollow).await,
+        json!([outside, outside]),
+        "hollow shapes"
+    );
 }
 
 async fn the_days_are_served_as_csv(browser: &mut Browser) {

@@ -14,7 +14,7 @@ export const english = {
   "50-to-95-per-cent": "50 to 95 %",
   "95-per-cent-interval": "95 % interval",
   "95-per-cent-interval-of-a-day": "95 % interval of a day",
-  "95-per-cent-of-sound-days": "95 % of sound days",
+  "95-per-cent-of-sound-days": "95 % of sound days are within ±1.96",
   "95-per-cent-to": "{0} · 95 %: {1} to {2}{3}",
   "95-to-99-per-cent": "95 to 99 %",
   "99-per-cent-and-above": "99 % and above",

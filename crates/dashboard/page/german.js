@@ -14,7 +14,7 @@ export const german = {
   "50-to-95-per-cent": "50 bis 95 %",
   "95-per-cent-interval": "95-%-Intervall",
   "95-per-cent-interval-of-a-day": "95-%-Intervall eines Tages",
-  "95-per-cent-of-sound-days": "95 % der Tage ohne Schaden",
+  "95-per-cent-of-sound-days": "95 % der Tage ohne Schaden: innerhalb ±1,96",
   "95-per-cent-to": "{0} · 95 %: {1} bis {2}{3}",
   "95-to-99-per-cent": "95 bis 99 %",
   "99-per-cent-and-above": "99 % und mehr",

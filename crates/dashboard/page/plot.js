@@ -79,7 +79,8 @@ export class Plot {
    * - `rows(columns by name)`: returns the data of uPlot
    * - `readout(data, index)`: returns a text
    * - `marks()`: returns lines { y, text, colour, isBelow } or { x, text, colour }, the most important
-   *   labels first. `isBelow`: the label is below its line, because most values are above
+   *   labels first. `isBelow`: the label is below its line, because most values are above. `isSolid`:
+   *   the line has no dashes
    * - `range`: range of the y axis, if it is fixed
    * - `legend`: list of { name, colour } with a `dash` of a line, or a `shape` of points
    * - `paint(uPlot)`: draws what uPlot does not draw, such as points of several shapes
@@ -374,10 +375,13 @@ export class Plot {
       ctx.lineTo(...to);
       ctx.stroke();
     };
-    // On a plate, so that no line strikes through the text.
-    const write = (text, x, y, colour, plate = "--card") => {
-      ctx.fillStyle = css(plate);
-      if (text) ctx.fillRect(x - 2 * size, y - 11 * size, ctx.measureText(text).width + 4 * size, 14 * size);
+    // With an outline, so that no line strikes through the text. A plate would hide the curve behind it.
+    const write = (text, x, y, colour, plate) => {
+      ctx.fillStyle = ctx.strokeStyle = css(plate ?? "--card");
+      ctx.setLineDash([]);
+      [ctx.lineWidth, ctx.lineJoin] = [3 * size, "round"];
+      if (plate) ctx.fillRect(x - 2 * size, y - 11 * size, ctx.measureText(text).width + 4 * size, 14 * size);
+      else ctx.strokeText(text, x, y);
       ctx.fillStyle = colour;
       ctx.fillText(text, x, y);
     };
@@ -388,14 +392,14 @@ export class Plot {
       const y = u.valToPos(mark.y, "y", true);
       if (y < bbox.top || y > bottom) continue;
       const colour = css(mark.colour ?? "--ink-soft");
-      line(colour, [6, 4], [left, y], [right, y]);
+      line(colour, mark.isSolid ? [] : [6, 4], [left, y], [right, y]);
       const isBelow = mark.isBelow ? y < bottom - 16 * size : y < bbox.top + 16 * size;
       const at = isBelow ? y + 15 * size : y - 5 * size;
       const wide = ctx.measureText(mark.text).width + 12 * size;
       // The label is at the left, unless it would cover the curve there and not at the right.
       const isAtRight = mark.isBelow && this.#isCurveIn(u, left, left + wide, at) && !this.#isCurveIn(u, right - wide, right, at);
       // A label that would cover a more important one is left out.
-      if (texts.every(([, , other]) => Math.abs(other - at) >= WORD_ROW * size)) texts.push([mark.text, isAtRight ? right - wide + 6 * size : left + 6 * size, at, colour, mark.plate]);
+      if (mark.text && texts.every(([, , other]) => Math.abs(other - at) >= WORD_ROW * size)) texts.push([mark.text, isAtRight ? right - wide + 6 * size : left + 6 * size, at, colour, mark.plate]);
     }
     // Extends the line up to its label.
     for (const { at, row, colour } of flags) line(css(colour), [2, 3], [left + at * size, bbox.top - (row + 1) * WORD_ROW * size], [left + at * size, bottom]);
@@ -409,10 +413,12 @@ export class Plot {
     const size = devicePixelRatio;
     const [times, values] = u.data;
     const [first, last] = [from, to].map((x) => u.posToVal((x - u.bbox.left) / size, "x"));
+    const heights = values.map((value) => (value == null ? null : u.valToPos(value, "y", true)));
     return times.some((time, row) => {
-      if (time < first || time > last || values[row] == null) return false;
-      const y = u.valToPos(values[row], "y", true);
-      return y > at - WORD_ROW * size && y < at + 4 * size;
+      const before = heights[row - 1] ?? heights[row];
+      // A sudden drop crosses the label between two values.
+      if (heights[row] === null || time < first || (times[row - 1] ?? time) > last) return false;
+      return Math.max(before, heights[row]) > at - WORD_ROW * size && Math.min(before, heights[row]) < at + 4 * size;
     });
   }
 

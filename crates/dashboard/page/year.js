@@ -35,12 +35,12 @@ const KINDS = {
 const SEASONS = [
   { name: t("dec-feb"), shape: "circle", colour: "--line-1", months: [12, 1, 2] },
   { name: t("mar-may"), shape: "triangle", colour: "--line-3", months: [3, 4, 5] },
-  { name: t("jun-aug"), shape: "square", colour: "--line-2", months: [6, 7, 8] },
-  { name: t("sep-nov"), shape: "circle", isHollow: true, colour: "--line-4", months: [9, 10, 11] },
+  { name: t("jun-aug"), shape: "square", colour: "--line-6", months: [6, 7, 8] },
+  { name: t("sep-nov"), shape: "falling", colour: "--line-4", months: [9, 10, 11] },
 ];
 
 /** The ring around the newest day among days that are not sorted by time. */
-const NEWEST = { name: t("newest-day"), shape: "circle", isHollow: true, colour: "--ink", size: 6 };
+const NEWEST = { name: t("newest-day"), shape: "ring", colour: "--ink", size: 6 };
 
 const none = { paths: () => null, stroke: "transparent", width: 0 };
 const edge = { stroke: "transparent", width: 0 };
@@ -158,7 +158,7 @@ export function residualPlot(points, span) {
     series: () => kinds.map(() => none),
     range: (_, least, largest) => [Math.min(-3, 1.08 * (least ?? 0)), Math.max(3, 1.08 * (largest ?? 0))],
     paint: (u) => paint(u, Object.values(KINDS), 1),
-    marks: () => [...begun(points.course), { y: 0, text: "" }, { y: HALF_95, text: "" }, { y: -HALF_95, text: t("95-per-cent-of-sound-days") }],
+    marks: () => [...begun(points.course), { y: 0, text: "", isSolid: true }, { y: HALF_95, text: "" }, { y: -HALF_95, text: t("95-per-cent-of-sound-days"), isBelow: true }],
     readout: (row) => (row?.expectation ? t("residual", typeset(row.expectation.residual.toFixed(2))) : words(row)),
   });
   return new Plot(plot, points, span);
@@ -232,15 +232,17 @@ export class Extent {
 /** Creates the plot of the values over the first condition, with a look for each season. */
 export function conditionScatter(points, span, extent) {
   const condition = () => points.course?.conditions[0];
-  const looks = [...SEASONS, { ...KINDS.changed, shape: "cross" }];
+  // As in the other plots, a hollow shape is a day outside experience, and a diamond is one since the change.
+  const looks = [...SEASONS, ...SEASONS.map((season) => ({ ...season, isHollow: true })), KINDS.changed];
   const drawn = [...looks, NEWEST];
-  const place = (row) => (row.kind === "changed" ? SEASONS.length : SEASONS.findIndex(({ months }) => months.includes(1 + new Date(1000 * row.time).getUTCMonth())));
+  const season = (row) => SEASONS.findIndex(({ months }) => months.includes(1 + new Date(1000 * row.time).getUTCMonth()));
+  const place = (row) => (row.kind === "changed" ? looks.length - 1 : season(row) + (row.kind === "outside" ? SEASONS.length : 0));
   const plot = {
     title: t("measured-values-over-the-first-condition"),
     file: "scatter",
     height: SQUARE,
     names: ["course"],
-    legend: legendOf(drawn),
+    legend: legendOf([...SEASONS, { ...KINDS.outside, colour: "--ink-soft" }, KINDS.changed, NEWEST]),
     across: () => (condition() ? `${condition().name}${condition().unit ? ` (${unit(condition().unit)})` : ""}` : ""),
     unit: () => inUnit(points.course ?? {}),
     rows: (columns) => {
