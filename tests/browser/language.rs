@@ -109,17 +109,24 @@ async fn the_page_is_in_german_for_a_german_browser() {
     browser.screenshot("german").await;
     let language = "document.documentElement.lang";
     assert_eq!(browser.evaluate(language).await, "de");
-    // Regression test: dates of services had another format, and counters had English names.
-    let told = "(async () => { const { setSentence } = await import('/time.js'); \
+    // Regression test: dates of services and of fields had another format, and counters had English
+    // names.
+    let told = "(async () => { const { fieldOf, setSentence, timeOfField } = \
+                await import('/time.js'); \
                 const { wordOf } = await import('/language.js'); \
                 const line = document.createElement('p'); line.lang = 'en'; \
-                setSentence(line, 'lost 12 % since 2026-11-29 12:30:14 UTC, file 2026-11-29T12'); \
-                return [line.textContent, wordOf('duplicate-items')]; })()";
+                setSentence(line, 'lost 12 % since 2026-11-29 12:30:14 UTC, found 05.09.2026, \
+                file 2026-11-29T12'); \
+                const times = ['29.11.2026 12:30:14', '2026-11-29 12:30:14 UTC', 'gestern']; \
+                return [line.textContent, wordOf('duplicate-items'), fieldOf(1795955414), \
+                times.map(timeOfField)]; })()";
     assert_eq!(
         browser.evaluate(told).await,
         json!([
-            "Lost 12 % since 29.11.2026 12:30:14 UTC, file 2026-11-29T12",
-            "doppelte Werte"
+            "Lost 12 % since 29.11.2026 12:30:14 UTC, found 05.09.2026, file 2026-11-29T12",
+            "doppelte Werte",
+            "29.11.2026 12:30:14",
+            [1_795_955_414, 1_795_955_414, null]
         ])
     );
 

@@ -4,9 +4,9 @@
 import { h, keyed, setText } from "./dom.js";
 import { t } from "./language.js";
 import { HOLE_STEPS, Plot, css, look, padded } from "./plot.js";
-import { lateNotice } from "./ranges.js";
+import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { Scale } from "./span.js";
-import { AXES, COLUMNS, comparedMeans, comparedValue, duration, fieldOf, isWithoutDate, setSentence, time, timeOfAlert, timeOfField, zone } from "./words.js";
+import { AXES, COLUMNS, comparedMeans, comparedValue, duration, isWithoutDate, setSentence, time, timeOfAlert } from "./words.js";
 import { Extent } from "./year.js";
 
 /** Number of points of each series and range. */
@@ -282,15 +282,7 @@ export class CompareTab {
     // Equal ranges that are being loaded need not be loaded again.
     if (JSON.stringify(ranges) !== JSON.stringify(this.points.ranges)) this.points.ranges = ranges;
     const isRecord = isWithoutDate(ranges[1].to_s);
-    ranges.forEach((range, index) => {
-      for (const end of ["from", "to"]) {
-        const field = this.fields[index][end];
-        // A record without dates has times in seconds.
-        [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
-        field.value = isRecord ? String(Number(range[`${end}_s`].toFixed(3))) : fieldOf(range[`${end}_s`]);
-      }
-    });
-    this.zones.forEach((element, index) => setText(element, isRecord ? "s" : zone(ranges[index].to_s)));
+    ranges.forEach(({ from_s, to_s }, index) => showTimes(Object.values(this.fields[index]), [from_s, to_s], this.zones[index]));
     this.usual.forEach((button) => (button.hidden = isRecord));
     this.points.extent.live();
     this.#load();
@@ -298,9 +290,7 @@ export class CompareTab {
 
   #submit(event) {
     event.preventDefault();
-    const isRecord = this.fields[0].from.type === "number";
-    const read = (field) => (isRecord ? Number(field.value) : timeOfField(field.value));
-    const ranges = this.fields.map(({ from, to }) => ({ from_s: read(from), to_s: read(to) }));
+    const ranges = this.fields.map(({ from, to }) => ({ from_s: timeIn(from), to_s: timeIn(to) }));
     const wrong = ranges.findIndex(({ from_s, to_s }) => !(to_s > from_s));
     if (wrong >= 0) return setText(this.told, t("range-end-after-start", NAMES[wrong]));
     this.#choose(ranges);

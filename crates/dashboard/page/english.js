@@ -174,6 +174,7 @@ export const english = {
   "fit-is": "fit {0}",
   "fit-verdict": "{0} Fit {1}: ",
   "for-more-than": " for more than {0}",
+  "format-of-a-time": "YYYY-MM-DD HH:MM:SS",
   "found": "▲ {0} found",
   "found-after-median": "Found after (median)",
   "found-in-the-last-epochs": "Found in the last epochs",

@@ -174,6 +174,7 @@ export const german = {
   "fit-is": "Modell {0}",
   "fit-verdict": "{0} Modell {1}: ",
   "for-more-than": " für mehr als {0}",
+  "format-of-a-time": "TT.MM.JJJJ HH:MM:SS",
   "found": "▲ {0} gefunden",
   "found-after-median": "Gefunden nach (Median)",
   "found-in-the-last-epochs": "In den letzten Epochen gefunden",

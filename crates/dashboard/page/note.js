@@ -3,7 +3,7 @@
 import { NAME_KEY } from "./alerts.js";
 import { h, setText } from "./dom.js";
 import { t, wordOf } from "./language.js";
-import { timeOfField, zone } from "./time.js";
+import { asTimeField, timeOfField, zone } from "./time.js";
 
 /** Subjects of a note, as in the message. */
 const KINDS = ["inspection", "repair", "maintenance", "weather", "traffic", "other"];
@@ -30,8 +30,8 @@ export class NoteDialog {
     this.effect = h("select", { onchange: () => this.#explain() }, EFFECTS.map(option));
     this.text = h("textarea", { required: true, rows: 3, maxlength: 1000 });
     this.who = h("input", { required: true, maxlength: 100, autocomplete: "name" });
-    this.from = h("input", { type: "datetime-local", step: 1 });
-    this.to = h("input", { type: "datetime-local", step: 1 });
+    this.from = asTimeField(h("input"));
+    this.to = asTimeField(h("input"));
     this.told = h("p", { class: "told", role: "status" });
     this.send = h("button", { type: "submit", class: "main" }, t("save-the-note"));
     this.element = h(
@@ -78,6 +78,8 @@ export class NoteDialog {
     const [from, to] = [this.from, this.to].map(({ value }) => (value ? timeOfField(value) : null));
     if (!text) return this.#refuse(t("please-enter-a-note"), this.text);
     if (!who) return this.#refuse(t("please-enter-your-name"), this.who);
+    if (Number.isNaN(from)) return this.#refuse(t("format-of-a-time"), this.from);
+    if (Number.isNaN(to)) return this.#refuse(t("format-of-a-time"), this.to);
     if (from !== null && from > now) return this.#refuse(t("beginning-in-the-future"), this.from);
     if (to !== null && to < (from ?? now)) return this.#refuse(t("end-not-before-beginning"), this.to);
     localStorage.setItem(NAME_KEY, who);

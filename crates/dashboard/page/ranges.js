@@ -5,7 +5,7 @@ import { h, setText } from "./dom.js";
 import { t } from "./language.js";
 import { saved } from "./samples.js";
 import { LENGTHS } from "./span.js";
-import { duration, fieldOf, isWithoutDate, time, timeOfField, zone } from "./words.js";
+import { asTimeField, duration, fieldOf, isWithoutDate, time, timeOfField, zone } from "./words.js";
 
 /**
  * Writes times (s) into fields, and the zone or the unit beside them. A record without dates has times
@@ -14,7 +14,8 @@ import { duration, fieldOf, isWithoutDate, time, timeOfField, zone } from "./wor
 export function showTimes(fields, times, zoneText) {
   const isRecord = isWithoutDate(times.at(-1));
   fields.forEach((field, index) => {
-    [field.type, field.step] = isRecord ? ["number", "any"] : ["datetime-local", "1"];
+    if (isRecord) [field.type, field.step] = ["number", "any"];
+    else asTimeField(field);
     field.value = isRecord ? String(Number(times[index].toFixed(3))) : fieldOf(times[index]);
   });
   setText(zoneText, isRecord ? "s" : zone(times.at(-1)));

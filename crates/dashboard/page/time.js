@@ -75,16 +75,28 @@ export function recordTime(seconds, digits = 0) {
   return `${seconds < 0 && size > 0 ? "−" : ""}${hours}:${String(minutes).padStart(2, "0")}:${rest}`;
 }
 
-/** Formats a time for a field of a form, and reads it back. */
+/** A time in a field: the date as ISO 8601 or as in German, the time of day, and the zone. The last two can be left out. */
+const FIELD = /^(?:(\d{4}-\d\d-\d\d)|(\d\d)\.(\d\d)\.(\d{4}))(?:[T ](\d\d:\d\d(?::\d\d(?:\.\d+)?)?))?(?: ?(UTC|Z))?$/;
+
+/** Formats a time for a field of a form. */
 export function fieldOf(seconds) {
   const { date, clock: of } = moment(seconds);
-  return `${date}T${of.slice(0, 8)}`;
+  return `${inLanguage(date)} ${of.slice(0, 8)}`;
 }
 
-/** Returns the time in a field of a form (s since 1970), or NaN without one. */
+/**
+ * Returns the time in a field of a form (s since 1970), or NaN without one. It is in the shown zone, or in
+ * UTC if it says so, as a pasted time does.
+ */
 export function timeOfField(text) {
-  const utc = Date.parse(`${text}Z`) / 1000;
-  return local ? new Date(text).getTime() / 1000 : utc;
+  const [, iso, day, month, year, of = "00:00", utc] = FIELD.exec(text.trim()) ?? [];
+  return Date.parse(`${iso ?? `${year}-${month}-${day}`}T${of}${local && !utc ? "" : "Z"}`) / 1000;
+}
+
+/** Makes a field take a time as text. The browser's own field has another format, and no time can be pasted. */
+export function asTimeField(input) {
+  const format = t("format-of-a-time");
+  return Object.assign(input, { type: "text", pattern: FIELD.source.slice(1, -1), title: format, placeholder: format, autocomplete: "off" });
 }
 
 /** Formats a duration in words. */
