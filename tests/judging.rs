@@ -558,10 +558,7 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     };
     shows("raised");
     let told = others.annotate(&["inspection", "crack", "--seen", "--quantity", "storey-1"]);
-    assert_eq!(
-        told,
-        "storey-1: inspection: lasting change seen, ada: crack\n"
-    );
+    assert_eq!(told, "storey-1: inspection: acknowledged, ada: crack\n");
     let is_seen = |display: &JudgementDisplay| {
         let seen = display.seen.as_ref();
         seen.is_some_and(|seen| seen.who == "ada" && seen.text == "crack")
@@ -608,7 +605,7 @@ async fn a_change_is_seen_and_a_new_reference_begins_as_offline_and_after_a_kill
     assert_eq!(
         noted,
         [
-            (text("inspection: lasting change seen"), text("ada: crack")),
+            (text("inspection: acknowledged"), text("ada: crack")),
             (text("repair: new reference"), text("ada: new bearings")),
         ]
     );

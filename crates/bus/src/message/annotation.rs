@@ -148,7 +148,10 @@ impl Annotation {
         let kind = self.kind.as_str();
         match self.effect {
             AnnotationEffect::None => kind.to_owned(),
-            AnnotationEffect::Seen => format!("{kind}: lasting change seen"),
+            AnnotationEffect::Seen if matches!(self.kind, AnnotationKind::Other) => {
+                "acknowledged".to_owned()
+            }
+            AnnotationEffect::Seen => format!("{kind}: acknowledged"),
             AnnotationEffect::NewReference => format!("{kind}: new reference"),
         }
     }
