@@ -42,7 +42,7 @@ async fn an_acknowledged_alert_keeps_its_badge_when_data_stop() {
         const { standing } = await (await fetch('/api/structures/demo')).json(); \
         const { time_ns } = standing.alerts.find(({ state }) => state === 'raised'); \
         const line = document.querySelector('.attention .dated'); \
-        const text = `Time of the figures: ${time(time_ns / 1e9)}.`; \
+        const text = `Figures as of ${time(time_ns / 1e9)}.`; \
         const tabs = [...document.querySelectorAll('[role=tab]')].toReversed(); \
         const without = tabs.filter((tab) => { tab.click(); \
         return !line.checkVisibility() || line.textContent !== text; }); \
@@ -627,7 +627,7 @@ async fn sensors_events_and_settings_are_tables() {
         "Half-life of the memory10 s",
         "Contactnone",
         "more than 5 %",
-        "0.99",
+        "99 %",
         "learnt in 30 s",
         "Items processed",
         "ingest",

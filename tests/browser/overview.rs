@@ -239,11 +239,12 @@ async fn numbers_have_a_minus_sign_and_a_power_of_ten() {
     let demo = demo(&[]);
     browser.open(&demo.page).await;
     let script = "(async () => {
-        const { comparedMeans, count, number, withMinus } = await import('/words.js');
+        const { comparedMeans, count, levelWords, number, withMinus } = await import('/words.js');
+        const level = { mean: -4.53e-4, rms: 0.0505, peak: 0.2, last: 0.1, rate_hz: 100, last_s: 0 };
         const change = { difference: -1e-6, low: -1e-3, high: 1e-3 };
         return [number(-1.25e-4), number(3e6), number(-0.5), count(1234567), \
         comparedMeans(change, { mean: 1 }).difference, withMinus('storey-2 on 2026-11-26: -4.6 to \
-        5.8 %, (-1)')];
+        5.8 %, (-1)'), levelWords(level, 'm/s2')[1]];
       })()";
     assert_eq!(
         browser.evaluate(script).await,
@@ -253,7 +254,8 @@ async fn numbers_have_a_minus_sign_and_a_power_of_ten() {
             "−0.5",
             "1\u{202f}234\u{202f}567",
             "0.00 %",
-            "storey-2 on 2026-11-26: −4.6 to 5.8 %, (−1)"
+            "storey-2 on 2026-11-26: −4.6 to 5.8 %, (−1)",
+            "−0.0005 m/s²"
         ])
     );
 }

@@ -107,7 +107,7 @@ async fn repeated_changes_of_a_part_and_equal_reasons_share_one_entry() {
                 [
                     "2020-09-13 12:26:40 UTC",
                     "▲ alert raised",
-                    "Revised 2020-09-13 12:30:00 UTC"
+                    "Figures as of 2020-09-13 12:30:00 UTC"
                 ]
             ],
             "1600000000.000"

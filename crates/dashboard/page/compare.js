@@ -168,7 +168,7 @@ export class CompareTab {
     this.page = page;
     const { parameters, modes } = page.about;
     this.quantities = [
-      ...parameters.map(({ name, stiffness }) => ({ name, series: `parameter/${name}`, unit: "", isStiffness: stiffness, axis: stiffness ? AXES.stiffness : AXES.ratio, areIndependent: false })),
+      ...parameters.map(({ name, stiffness }) => ({ name, series: `parameter/${name}`, unit: "", isStiffness: stiffness, axis: AXES.ratio, areIndependent: false })),
       ...modes.map(({ name }) => ({ name, series: `mode/${name}`, unit: "Hz", axis: t("natural-frequency-hz"), areIndependent: true })),
     ];
     this.points = new TwoRanges(page.name);

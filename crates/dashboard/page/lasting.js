@@ -7,7 +7,7 @@ import { NoteDialog } from "./note.js";
 import { RangeBar } from "./ranges.js";
 import { DAY_S, Span } from "./span.js";
 import { COLUMNS, LEVELS, judged, judgementWords, number, percent, setSentence, wordOf, SERVICES } from "./words.js";
-import { Extent, conditionScatter, evidencePlot, residualPlot, valuePlot } from "./year.js";
+import { Extent, conditionScatter, conditionTitle, evidencePlot, residualPlot, valuePlot } from "./year.js";
 
 /** Selectable lengths (s). */
 const LENGTHS = [
@@ -132,6 +132,10 @@ export class LastingTab {
     setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? t("no-quantity")}`);
     setSentence(this.sentence, judgement?.sentence ?? t("the-service-judge-has-not-reported-yet"));
     const seen = judgement?.seen;
+    // The plots need the room, if the sentence is at the top of the page.
+    const lost = /^.* has lost (?:stiffness|[\d.]+ % of stiffness)/.exec(judgement?.sentence ?? "");
+    this.sentence.hidden = lost !== null && this.page.told().includes(lost[0]);
+    this.card.hidden = this.sentence.hidden && !seen;
     this.spent = judgement?.spent ?? null;
     this.seen.hidden = !seen;
     if (seen) setText(this.seen, t("seen-by-on", seen.who, dateOf(seen.time_ns / 1e9), seen.text));
@@ -145,6 +149,8 @@ export class LastingTab {
     const row = ({ loss, median_days: days, found_in_a_month: share }) => h("tr", {}, h("th", { scope: "row" }, percent(loss, 0)), h("td", {}, days === null ? t("mostly-missed") : t("days", days)), h("td", {}, percent(share, 0)));
     const notes = (course?.annotations ?? []).toReversed();
     this.notes.replaceChildren(...notes.map(note));
+    const [condition] = course?.conditions ?? [];
+    if (condition) this.scatter.retitle(t("measured-over", conditionTitle(condition)));
     this.finds.hidden = delays.length === 0;
     this.delays.replaceChildren(...delays.map(row));
   }
@@ -160,14 +166,13 @@ export class LastingTab {
   }
 }
 
-/** What the effects of an annotation are called. */
-const EFFECTS = { seen: t("lasting-change-seen"), "new-reference": t("new-reference") };
-
-/** Returns the line of an annotation. */
+/** Returns the line of an annotation. The subject of an acknowledgement alone is "other". */
 function note({ from_ns: from, to_ns: to, kind, effect, who, text }) {
   const end = to === null ? "" : t("to-date", dateOf(to / 1e9));
-  const what = EFFECTS[effect] ? `${wordOf(kind)}, ${EFFECTS[effect]}` : wordOf(kind);
-  return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what), ` ${text} (${who})`);
+  const isSeen = effect === "seen";
+  const what = [isSeen && kind === "other" ? null : wordOf(kind), isSeen ? t("note-acknowledged-by", who) : effect === "new-reference" ? t("new-reference") : null];
+  const told = isSeen ? `: ${text}` : ` ${text} (${who})`;
+  return h("li", {}, h("span", { class: "number" }, dateOf(from / 1e9) + end), " ", h("strong", {}, what.filter(Boolean).join(", ")), told);
 }
 
 /** Returns the facts of what the structure has spent of its budget: titles and texts. */
@@ -177,7 +182,7 @@ function spending(spent) {
   return [
     [t("judged-so-far"), t("days", days)],
     [t("alarms-of-the-structure"), t("alarms-of-them-in-the-last-year", alarms, recent)],
-    [t("false-alarms-promised-so-far"), number(promised)],
+    [t("false-alarms-promised-so-far"), number(Number(promised.toPrecision(2)))],
   ];
 }
 
@@ -193,7 +198,7 @@ function facts({ reference, rows, kind, loss, commissioning_days: needed, false_
     [t("scatter-of-a-day"), t("of-the", percent(scatter, 2), wordOf(kind))],
     [t("later-days-in-the-95-per-cent"), percent(coverage, 0)],
     [t("promised-false-alarms-a-year"), t("of-for-the-structure", number(promised), number(budget))],
-    [t("in-simulated-years"), t("false-alarms-a-year", number(achieved))],
+    [t("in-simulated-years"), t("a-year", number(achieved))],
     ...shared,
     ...day,
   ];

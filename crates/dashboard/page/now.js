@@ -6,7 +6,7 @@ import { PlotGroup } from "./groups.js";
 import { language, t } from "./language.js";
 import { modePlot, parameterPlot } from "./plots.js";
 import { searchField } from "./search.js";
-import { AXES, COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isBlind, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, setSentence, stateOf, step } from "./words.js";
+import { COLUMNS, HINTS, NOT_STIFFNESS, NO_RULE, SERVICES, bySeverity, isBlind, isOpen, judged, judgedEstimate, judgementWords, modeWords, notJudged, openWords, percent, place, probability, ratio, setSentence, stateOf, step } from "./words.js";
 
 /** Probability of loss from which the plot of a part is shown at the top. */
 const WORTH_SHOWING = 0.05;
@@ -26,8 +26,7 @@ export class NowTab {
     this.ruled = new Set(about.rules.flatMap(({ parameters }) => parameters));
     const losses = new Set(about.rules.map(({ loss }) => loss));
     const [part, state, , interval, chance] = COLUMNS.parts;
-    const estimate = about.parameters.every(({ stiffness }) => stiffness) ? AXES.stiffness : AXES.ratio;
-    const titles = [part, state, estimate, interval, losses.size === 1 ? t("loss-probability-of-rule", percent([...losses][0], 0)) : chance];
+    const titles = [part, state, t("value-with-std"), interval, losses.size === 1 ? t("loss-probability-of-rule", percent([...losses][0], 0)) : chance];
     const heads = h("tr", {}, titles.map((text) => h("th", { scope: "col" }, text)));
     const scroll = { class: "scroll", tabindex: "0", role: "region", "aria-label": t("parts") };
     const table = h("div", scroll, h("table", { class: "parameters" }, h("thead", {}, heads), this.rows));

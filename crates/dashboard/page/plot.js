@@ -130,6 +130,12 @@ export class Plot {
     };
   }
 
+  /** Shows another title, once it is known what the plot shows. */
+  retitle(title) {
+    this.plot.title = title;
+    setText(this.head.firstChild, title);
+  }
+
   close() {
     this.seen.disconnect();
     this.resized.disconnect();

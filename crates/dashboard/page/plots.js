@@ -52,7 +52,7 @@ export function parameterPlot(parameter, standing, points, span, scale, id) {
       title: parameter.name,
       file: `parameter-${parameter.name}`,
       id,
-      unit: parameter.stiffness ? AXES.stiffness : AXES.ratio,
+      unit: AXES.ratio,
       names: [name, lossName],
       rows: (columns) => {
         const estimates = columns.get(name) ?? [[], [], []];

@@ -41,7 +41,7 @@ export class SettingsTab {
     const heads = (columns) => h("thead", {}, h("tr", {}, columns.map((text) => h("th", { scope: "col" }, text))));
     const scroll = (label) => ({ class: "scroll", tabindex: "0", role: "region", "aria-label": label });
     const row = (cells) => h("tr", {}, cells.map((text, column) => (column === 0 ? h("th", { scope: "row" }, text) : h("td", { "data-head": COLUMNS.rules[column] }, text))));
-    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s, learn_s: learn }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), number(credibility), `${number(sustain_s)} s`, learn === null ? t("stated-reference") : t("learnt-in", number(learn))]));
+    const rules = about.rules.map(({ parameters, loss, credibility, sustain_s, learn_s: learn }) => row([parameters.join(", "), t("more-than", `${number(100 * loss)} %`), `${number(100 * credibility)} %`, `${number(sustain_s)} s`, learn === null ? t("stated-reference") : t("learnt-in", number(learn))]));
     const fact = (title, text, link) => h("div", { class: text.length > LONG ? "fact fact-long" : "fact" }, h("dt", {}, title), h("dd", {}, link ? h("a", { href: link, rel: "noreferrer" }, text) : text));
     // Many parameters have few different priors.
     const priors = grouped(about.parameters, ({ prior }) => prior.join()).map((equal) => `${equal[0].prior.map(number).join(" ± ")}: ${listed(equal, (size) => t("many-parameters", size))}`);

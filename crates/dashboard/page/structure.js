@@ -129,6 +129,7 @@ export class StructurePage {
       span: this.span,
       scale: this.scale,
       standing: () => this.#standing,
+      told: () => this.parts?.sentence.textContent ?? "",
       choose: (parameter) => (location.hash = place(this.name, parameter)),
       changed: () => this.#remember(),
     };

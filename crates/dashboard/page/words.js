@@ -52,7 +52,6 @@ export const HINTS = { [t("epoch-until")]: t("hint-epoch"), [t("sampling-instant
 
 /** Titles of the axes. All of these quantities have no unit. */
 export const AXES = {
-  stiffness: t("stiffness-design-stiffness"),
   ratio: t("value-design-value"),
   plausibility: t("plausibility"),
   distance: t("distance-from-the-others"),
@@ -315,6 +314,13 @@ function measured(value) {
   return size >= 1e-3 && size < 1e3 ? typeset(value.toPrecision(3)) : number(value);
 }
 
+/** Formats a mean. A small one has the decimals of the RMS beside it, and no power of ten. */
+function meanBeside({ mean, rms }) {
+  if (!(Math.abs(mean) < 1e-3 && rms >= 1e-3 && rms < 1e3)) return measured(mean);
+  const text = mean.toFixed(Math.max(0, 2 - Math.floor(Math.log10(rms))));
+  return typeset(Number(text) === 0 ? text.replace("-", "") : text);
+}
+
 /** Returns a number as people read it, with a minus sign and a power of ten: −1.25·10⁻⁴. */
 export function typeset(text) {
   const [digits, exponent] = text.split("e");
@@ -395,7 +401,7 @@ export function clockWords(clock, isReported) {
 /** Returns the samples of the last minute of a sensor, in the columns of their table. */
 export function levelWords(level, of) {
   if (!level) return ["–", "–", "–", "–", "–"];
-  const values = [level.mean, level.rms, level.peak].map((value) => `${measured(value)} ${unit(of)}`);
+  const values = [meanBeside(level), measured(level.rms), measured(level.peak)].map((value) => `${value} ${unit(of)}`);
   return [number(level.rate_hz), ...values, `${measured(level.last)} ${unit(of)}, ${time(level.last_s)}`];
 }
 

@@ -68,7 +68,7 @@ const kinds = Object.entries(KINDS);
 const byKind = (rows, value) => kinds.map(([kind]) => rows.map((row) => (row.kind === kind ? value(row) : null)));
 const legendOf = (looks) => looks.map(({ name, colour, shape, isHollow }) => ({ name, colour, shape, isHollow }));
 
-const inUnit = ({ kind }) => (kind === "frequency" ? t("natural-frequency-hz") : AXES.stiffness);
+const inUnit = ({ kind }) => (kind === "frequency" ? t("natural-frequency-hz") : AXES.ratio);
 
 function quantile(values, share) {
   const sorted = values.filter((value) => value !== null && value !== undefined).sort((a, b) => a - b);
@@ -229,6 +229,11 @@ export class Extent {
   }
 }
 
+/** Returns a condition with its unit: deck (°C). */
+export function conditionTitle({ name, unit: of }) {
+  return of ? `${name} (${unit(of)})` : name;
+}
+
 /** Creates the plot of the values over the first condition, with a look for each season. */
 export function conditionScatter(points, span, extent) {
   const condition = () => points.course?.conditions[0];
@@ -243,7 +248,7 @@ export function conditionScatter(points, span, extent) {
     height: SQUARE,
     names: ["course"],
     legend: legendOf([...SEASONS, { ...KINDS.outside, colour: "--ink-soft" }, KINDS.changed, NEWEST]),
-    across: () => (condition() ? `${condition().name}${condition().unit ? ` (${unit(condition().unit)})` : ""}` : ""),
+    across: () => (condition() ? conditionTitle(condition()) : ""),
     unit: () => inUnit(points.course ?? {}),
     rows: (columns) => {
       const { from_s, to_s } = span;
