@@ -261,6 +261,12 @@ async fn a_small_part_with_a_probable_loss_is_named_beside_the_drawing() {
         )
         .await;
     browser.wait("its name beside the drawing", &shown).await;
+    // Regression test: the other small parts had no name at all.
+    let other = callout("storey-2");
+    let named = format!(
+        "{other}.getAttribute('visibility') !== 'hidden' && {other}.textContent === 'storey-2'"
+    );
+    browser.wait("the name of a sound part", &named).await;
     let text = browser
         .evaluate(&format!("{}.textContent", callout("storey-1")))
         .await;

@@ -122,7 +122,7 @@ async fn nothing_is_normal_without_data() {
         .wait("no normal part", &format!("{rows}.length === 0"))
         .await;
     let words = "[...document.querySelectorAll('#panel-now .parameters tbody tr')].filter((row) \
-                 => row.children[1].textContent === '○ blind' && \
+                 => row.children[1].textContent === '◌ blind' && \
                  row.children[4].textContent.startsWith('last known: ')).length";
     browser.wait("blind parts", &format!("{words} >= 4")).await;
     let ticks = "document.querySelector('.structure').innerText.includes('✓')";

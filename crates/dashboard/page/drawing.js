@@ -27,6 +27,8 @@ const ROOM = 42;
 const BELOW = 26;
 /** Width of a character of a name, and height of a name. */
 const CHARACTER = 7;
+/** Length to which a name beside the storeys is shortened, so that they keep their room. */
+const LONGEST = 24;
 /** Width of a character of a bold name, as beside a part with a probable loss. */
 const BOLD_CHARACTER = 8.2;
 const NAME_HEIGHT = 14;
@@ -96,8 +98,10 @@ export class Drawing {
       // An alert that is not confirmed is still worth a name.
       const isFound = (worst !== null && worst >= 0.5) || state === "unconfirmed";
       found.set(part.name, { worst: state === "unconfirmed" ? 1 : worst, told });
-      setAttribute(part.element, "data-open", state);
-      for (const element of [part.element, part.words]) setAttribute(element, "data-step", step(worst));
+      for (const element of [part.element, part.words]) {
+        setAttribute(element, "data-open", state);
+        setAttribute(element, "data-step", step(worst));
+      }
       const names = part.parameters.join(", ") || "known";
       setText(part.title, `${part.name}: ${part.parameters.length === 0 ? names : state ? `${names}, ${told}` : t("part-probability-of-loss", names, told)}`);
       if (part.label) {
@@ -119,23 +123,26 @@ export class Drawing {
   }
 
   /**
-   * Names the parts with a probable loss, and the worst part, if they are too small for a name
-   * inside.
+   * Names the parts that are too small for a name inside: all of few parts, or else those with a probable
+   * loss, and the worst part. Only a probable loss is bold and has its probability.
    */
   #callOut(found) {
     const worstOf = ({ names }) => Math.max(...names.map((name) => found.get(name)?.worst ?? 0));
     const most = Math.max(...[...found.values()].map(({ worst }) => worst ?? 0));
-    const shown = this.#callouts.filter((callout) => worstOf(callout) >= Math.min(0.5, Math.max(most, WORTH_NAMING)));
+    const isFound = (callout) => worstOf(callout) >= Math.min(0.5, Math.max(most, WORTH_NAMING));
+    const shown = this.namesAll ? this.#callouts : this.#callouts.filter(isFound);
     for (const callout of this.#callouts) setAttribute(callout.element, "visibility", shown.includes(callout) ? null : "hidden");
     // Places callouts from the lowest part upwards, each at its part or at the next free height.
     const taken = [...this.#named];
-    for (const { names, text, value, leader, y, edge } of shown.toSorted((a, b) => b.y - a.y)) {
+    for (const callout of shown.toSorted((a, b) => b.y - a.y)) {
+      const { names, text, value, leader, y, edge } = callout;
       const isFree = (height) => taken.every((other) => Math.abs(other - height) >= CALLOUT_ROW);
       let height = y;
       while (!isFree(height) && height > CALLOUT_ROW) height -= 1;
       taken.push(height);
       const worst = names.map((one) => found.get(one)).sort((a, b) => (b?.worst ?? 0) - (a?.worst ?? 0))[0];
-      setText(value, worst?.told ?? "");
+      setText(value, isFound(callout) ? (worst?.told ?? "") : "");
+      setAttribute(text, "class", isFound(callout) ? "callout" : "aside");
       for (const one of [text, value]) one.setAttribute("y", height);
       leader.setAttribute("d", `M${edge - CALLOUT_FROM + 3} ${height}L${edge - 6} ${y}H${edge}`);
     }
@@ -148,8 +155,8 @@ export class Drawing {
     const abreast = Math.max(0, ...points.map((_, point) => sensors.filter((sensor) => sensor.point === point).length));
     // The storeys are as wide as the names on both sides permit.
     const longest = (texts, character) => Math.max(0, ...texts.map((text) => text.length)) * character;
-    const left = Math.max(LEAST_SIDE, longest(members.filter(({ parameters }) => parameters.length > 0).map(({ parts }) => parts[0]), BOLD_CHARACTER) + CALLOUT_FROM + 4);
-    const beside = storey >= NAMED_FROM ? longest(points.map((_, point) => sensors.filter((sensor) => sensor.point === point).map(({ channel }) => channel).join(", ")), CHARACTER) : 0;
+    const left = Math.max(LEAST_SIDE, longest(members.filter(({ parameters }) => parameters.length > 0).map(({ parts }) => short(parts[0])), BOLD_CHARACTER) + CALLOUT_FROM + 4);
+    const beside = storey >= NAMED_FROM ? longest(points.map((_, point) => namesAt(sensors, point)), CHARACTER) : 0;
     const group = (member) => members.filter((other) => other.parts[0] === member.parts[0]);
     const isSmall = (member) => group(member).length * storey < NAMED_FROM;
     const side = members.some((member) => member.parameters.length > 0 && isSmall(member)) ? CALLOUT_SIDE : LEAST_SIDE;
@@ -157,16 +164,18 @@ export class Drawing {
     const level = (point) => bottom - storey * points[point].y;
     this.svg.append(s("path", { class: "ground", d: `M${left - 20} ${bottom}H${left + width + 6}` }), ...ground(left - 20, left + width + 6, bottom));
     const names = [];
+    /** Returns the distance of the name of storeys from their middle, which is a floor if their number is even. */
+    const offFloor = (together) => (together.length % 2 === 0 ? storey / 2 : 0);
     for (const first of members.filter((member) => group(member)[0] === member && member.parameters.length > 0)) {
       const together = group(first);
       const y = (level(first.ends[0]) + level(together.at(-1).ends[1])) / 2;
       if (!isSmall(first)) {
-        this.#named.push(y);
+        this.#named.push(y - offFloor(together));
         continue;
       }
-      const text = s("text", { x: left - CALLOUT_FROM, class: "callout", "dominant-baseline": "central" }, first.parts[0]);
+      const text = s("text", { x: left - CALLOUT_FROM, class: "callout", "dominant-baseline": "central" }, short(first.parts[0]));
       // To the right of the sensors.
-      const isTenth = members.indexOf(first) % EACH === EACH - 1;
+      const isTenth = !this.namesAll && members.indexOf(first) % EACH === EACH - 1;
       if (isTenth) {
         this.#named.push(y);
         names.push(s("text", { x: left - 10, y, class: "aside sensor-name", "dominant-baseline": "central" }, first.parts[0]));
@@ -181,11 +190,11 @@ export class Drawing {
       const [y0, y1] = member.ends.map(level);
       const shape = { x: left, y: Math.min(y0, y1), width, height: Math.abs(y0 - y1) };
       const together = group(member);
-      // Storeys that are scaled together have one name, in their middle.
+      // Storeys that are scaled together have one name.
       const isNamed = together[0] === member && member.parameters.length > 0 && together.length * storey >= NAMED_FROM;
-      const middle = (y0 + level(together.at(-1).ends[1])) / 2;
+      const middle = (y0 + level(together.at(-1).ends[1])) / 2 - offFloor(together);
       const label = isNamed ? s("text", { x: left + width / 2, y: middle, class: "inside", "dominant-baseline": "central" }) : null;
-      const name = isNamed ? s("text", { x: left - 10, y: middle, class: "aside", "dominant-baseline": "central" }, member.parts[0]) : null;
+      const name = isNamed ? s("text", { x: left - 10, y: middle, class: "aside", "dominant-baseline": "central" }, short(member.parts[0])) : null;
       this.#part(member, [s("rect", { ...shape, class: "fill" }), s("rect", { ...shape, class: "hatch" })], { label, text: (told) => told, name });
       floors.push(s("path", { class: storey >= NAMED_FROM || together.at(-1) === member ? "floor" : "floor thin", d: `M${left} ${y1}H${left + width}` }));
     }
@@ -304,15 +313,23 @@ export class Drawing {
       const [x, y] = place(sensor.point, count);
       const sign = s("text", { x, y, class: "sign", "dominant-baseline": "central" });
       const title = s("title", {});
-      const here = sensors.filter((other) => other.point === sensor.point);
-      const isLast = here.length === count + 1;
-      const text = here.map((other) => other.channel).join(", ");
-      const name = named && isLast ? s("text", { x: x + 12, y, class: "beside", "dominant-baseline": "central" }, text) : null;
+      const isLast = sensors.filter((other) => other.point === sensor.point).length === count + 1;
+      const name = named && isLast ? s("text", { x: x + 12, y, class: "beside", "dominant-baseline": "central" }, namesAt(sensors, sensor.point)) : null;
       const element = s("g", { class: "sensor" }, title, sign, name);
       this.#sensors.push({ channel: sensor.channel, name: sensorName(sensor), element, sign, title });
       this.svg.append(element);
     }
   }
+}
+
+/** Returns a name, shortened if it is long. The title of its element has all of it. */
+function short(name) {
+  return name.length > LONGEST ? `${name.slice(0, LONGEST - 1)}…` : name;
+}
+
+/** Returns the names of the sensors at a point, shortened. */
+function namesAt(sensors, point) {
+  return short(sensors.filter((sensor) => sensor.point === point).map(({ channel }) => channel).join(", "));
 }
 
 function isWide(points) {

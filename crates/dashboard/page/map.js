@@ -55,7 +55,7 @@ export class StructureMap {
     const view = projection(this.structures.map(({ coordinates }) => coordinates), width);
     this.svg.setAttribute("viewBox", `0 0 ${width} ${view.height}`);
     this.svg.style.height = `${view.height}px`;
-    const sites = this.structures.map((structure) => ({ structure, ...view.place(structure.coordinates) }));
+    const sites = apart(this.structures.map((structure) => ({ structure, ...view.place(structure.coordinates) })), width, view.height);
     const names = placeNames(sites, width);
     // The most urgent structure is drawn last, so that it is above the others.
     this.svg.replaceChildren(...grid(view, width), ...sites.map((site, index) => sign(site, names[index])).toReversed());
@@ -87,6 +87,30 @@ function westOf(longitudes) {
   const sorted = [...longitudes].sort((a, b) => a - b);
   const gaps = sorted.map((longitude, index) => ({ longitude, gap: index > 0 ? longitude - sorted[index - 1] : longitude + 360 - sorted.at(-1) }));
   return gaps.reduce((widest, one) => (one.gap > widest.gap ? one : widest)).longitude;
+}
+
+/** Rounds in which overlapping signs move apart. A crowd that needs more remains close. */
+const ROUNDS = 20;
+
+/** Moves signs that overlap apart, so that each state is visible. The place of each remains in `from`. */
+function apart(sites, width, height) {
+  const moved = sites.map(({ x, y, ...site }) => ({ ...site, x, y, from: { x, y } }));
+  const near = 2 * RADIUS + 2;
+  for (let round = 0, isClose = true; isClose && round < ROUNDS; round += 1) {
+    isClose = false;
+    moved.forEach((one, index) => moved.slice(index + 1).forEach((other) => {
+      const [right, down] = [other.x - one.x, other.y - one.y];
+      const distance = Math.hypot(right, down);
+      if (distance >= near - 0.01) return;
+      isClose = true;
+      // Signs at the same place move sideways.
+      const [x, y] = distance > 0 ? [right / distance, down / distance] : [1, 0];
+      const step = (near - distance) / 2;
+      [one.x, one.y, other.x, other.y] = [one.x - step * x, one.y - step * y, other.x + step * x, other.y + step * y];
+    }));
+  }
+  const inside = (value, most) => Math.min(Math.max(value, RADIUS + 2), most - RADIUS - 2);
+  return moved.map((site) => ({ ...site, x: inside(site.x, width), y: inside(site.y, height) }));
 }
 
 /** Draws the lines of latitude and longitude with their degrees, and the scale. */
@@ -136,7 +160,7 @@ function placeNames(sites, width) {
 }
 
 /** Draws a structure as a link to its page. Its name is shown if there is room, or on focus. */
-function sign({ structure, x, y }, box) {
+function sign({ structure, x, y, from }, box) {
   const { name, level, sentence } = structure;
   const { sign: shape, word } = attentionWords(structure);
   const place = box ?? { left: x + RADIUS + 4, top: y - NAME / 2 };
@@ -145,6 +169,7 @@ function sign({ structure, x, y }, box) {
     "a",
     { href: `#/structure/${encodeURIComponent(name)}`, class: box ? "site" : "site is-crowded", "data-level": level, "data-name": name, "aria-label": words },
     s("title", {}, words),
+    from.x === x && from.y === y ? null : s("path", { class: "site-place", d: `M${from.x} ${from.y}L${x} ${y}` }),
     s("circle", { cx: x, cy: y, r: RADIUS }),
     s("text", { class: "site-sign", x, y: y + 4 }, shape),
     s("text", { class: "site-name", x: place.left, y: place.top + NAME - 3 }, name),

@@ -132,12 +132,12 @@ function levelOf(alert) {
 }
 
 /** Sign and word of a part of which the present data say nothing. */
-export const BLIND = { sign: "○", word: wordOf("blind") };
+export const BLIND = { sign: "◌", word: wordOf("blind") };
 
 /** Returns sign, word and level of a parameter: normal only if damage would be noticed. */
 export function stateOf(alert) {
   const { sign, word } = STATES[alert.state];
-  if (alert.state === "normal" && alert.unwatched) return { sign: "○", word: wordOf(alert.unwatched.state), level: "warning" };
+  if (alert.state === "normal" && alert.unwatched) return { sign: BLIND.sign, word: wordOf(alert.unwatched.state), level: "warning" };
   return { sign, word, level: levelOf(alert) };
 }
 
