@@ -20,8 +20,8 @@ const JUMP_S: f64 = 86_400.0;
 /// Share of a jump by which the thermometer must go back.
 const BACK: f64 = 0.5;
 
-/// Why a value of a condition does not count.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Why a value of a condition or quantity does not count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Doubt {
     Frozen,
     Jumped,

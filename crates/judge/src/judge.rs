@@ -6,8 +6,9 @@ use crate::day::DAY_S;
 use crate::epoch::Epoch;
 use crate::error::JudgeError;
 use crate::judgement::{Absence, Judgement};
+use crate::quantity_watch::QuantityWatch;
 use crate::report::QuantityReport;
-use crate::settings::Settings;
+use crate::settings::{Quantity, Settings};
 use crate::thermometers::QuantityCourse;
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +39,7 @@ pub struct Judge {
     last_s: Option<f64>,
     day: Option<i64>,
     watches: Vec<ConditionWatch>,
+    quantity_watches: Vec<QuantityWatch>,
     absence: Option<Absence>,
     courses: Vec<QuantityCourse>,
     /// New references that start after the last epoch, in the order of time.
@@ -55,6 +57,7 @@ impl Judge {
             last_s: None,
             day: None,
             watches: vec![ConditionWatch::default(); settings.conditions.len()],
+            quantity_watches: vec![QuantityWatch::default(); settings.quantities.len()],
             absence: None,
             courses: courses(&settings),
             awaited: Vec::new(),
@@ -111,14 +114,10 @@ impl Judge {
         }
         self.day = Some(day);
         self.last_s = Some(epoch.time_s);
+        let logarithms = self.logarithms(epoch);
         let Some(conditions) = self.conditions(epoch) else {
             return Ok(());
         };
-        let usable = |value: &f64| value.is_finite() && *value > 0.0;
-        let values = epoch.quantities.iter();
-        let logarithms: Vec<Option<f64>> = values
-            .map(|value| value.filter(usable).map(f64::ln))
-            .collect();
         let declared = logarithms.iter().zip(&self.settings.quantities);
         let stiffnesses: Vec<Option<f64>> = declared
             .map(|(y, quantity)| Some((*y)? / quantity.kind.per_stiffness()))
@@ -149,8 +148,14 @@ impl Judge {
 
     fn forget(&mut self, quantity: Option<usize>) {
         match quantity {
-            None => self.courses = courses(&self.settings),
+            None => {
+                self.courses = courses(&self.settings);
+                self.quantity_watches.fill(QuantityWatch::default());
+            }
             Some(index) => {
+                if let Some(watch) = self.quantity_watches.get_mut(index) {
+                    *watch = QuantityWatch::default();
+                }
                 for course in &mut self.courses {
                     course.begin_again(index);
                 }
@@ -200,6 +205,22 @@ impl Judge {
         }
     }
 
+    /// Returns ln(value) of each quantity, or `None` if it is missing, is frozen or has jumped.
+    fn logarithms(&mut self, epoch: &Epoch) -> Vec<Option<f64>> {
+        let declared = self.settings.quantities.iter();
+        let declared = declared.zip(&mut self.quantity_watches);
+        let logarithm = |((quantity, watch), value): ((&Quantity, &mut QuantityWatch), _)| {
+            let value: Option<f64> = value;
+            let y = value
+                .filter(|value| value.is_finite() && *value > 0.0)?
+                .ln();
+            let doubt = watch.doubt(epoch.time_s, y / quantity.kind.per_stiffness());
+            doubt.is_none().then_some(y)
+        };
+        let values = epoch.quantities.iter().copied();
+        declared.zip(values).map(logarithm).collect()
+    }
+
     /// Returns the conditions in the scale of the model, or `None` if one is missing, is frozen or
     /// has jumped.
     fn conditions(&mut self, epoch: &Epoch) -> Option<Vec<f64>> {
@@ -228,7 +249,8 @@ impl Judge {
     }
 
     fn end_day(&mut self, day: i64, judgements: &mut Vec<Judgement>) {
-        let absence = self.absence.take();
+        let of_conditions = self.absence.take();
+        let absences = self.absences_of_quantities();
         // Thermometers come first. A change that is raised on this day counts at once.
         let mut order: Vec<usize> = (0..self.courses.len()).collect();
         order.sort_by_key(|index| !self.settings.quantities[*index].thermometers.is_empty());
@@ -240,7 +262,7 @@ impl Judge {
                 index,
                 thermometer: None,
                 day,
-                absence: absence.as_ref(),
+                absence: absences[index].as_ref().or(of_conditions.as_ref()),
             });
             if judgement.raised {
                 self.stop(index);
@@ -249,6 +271,25 @@ impl Judge {
         }
         of_day.sort_by_key(|(index, _)| *index);
         judgements.extend(of_day.into_iter().map(|(_, judgement)| judgement));
+    }
+
+    /// Returns why quantities have no statement of the open day for their own values. A day that
+    /// only repeats the day before is discarded.
+    fn absences_of_quantities(&mut self) -> Vec<Option<Absence>> {
+        let ended = self.quantity_watches.iter_mut();
+        let ended: Vec<_> = ended.map(QuantityWatch::end_day).collect();
+        for (index, _) in ended.iter().enumerate().filter(|(_, (_, all))| *all) {
+            for (place, course) in self.courses.iter_mut().enumerate() {
+                course.discard_day(index, place == index);
+            }
+        }
+        let absence = |(doubt, _): (Option<Doubt>, bool)| {
+            Some(match doubt? {
+                Doubt::Frozen => Absence::FrozenQuantity,
+                Doubt::Jumped => Absence::OtherUnit,
+            })
+        };
+        ended.into_iter().map(absence).collect()
     }
 
     /// Takes note that a quantity has changed.

@@ -72,6 +72,10 @@ pub enum Absence {
     /// All quantities that serve as thermometers have changed, or have a new reference. Their
     /// names, with commas.
     Changed(String),
+    /// The quantity has repeated its value, or the values of a whole day, for a day or longer.
+    FrozenQuantity,
+    /// The values of the quantity have jumped, as if their unit had changed.
+    OtherUnit,
 }
 
 /// A lasting change that was found. It remains until a new reference starts.
@@ -249,6 +253,14 @@ impl Judgement {
             },
             State::NoStatement { why } => match why {
                 Absence::Quantity => format!("{name} has no value on this day."),
+                Absence::FrozenQuantity => format!(
+                    "{name} is not judged, because it has repeated its values for a day or longer. \
+                     Check the program that determines them."
+                ),
+                Absence::OtherUnit => format!(
+                    "{name} is not judged, because its values have jumped by a factor of 10 or \
+                     more. Check their unit."
+                ),
                 Absence::Condition(condition) => {
                     format!("{name} is not judged, because {condition} was not measured.")
                 }

@@ -95,6 +95,7 @@ mod condition_watch;
 mod course;
 mod judge;
 mod reference;
+mod quantity_watch;
 mod report;
 mod thermometers;
 

@@ -10,6 +10,7 @@
 //! therefore 2/3 of that of the quantity.
 
 use crate::course::{Course, Frame, has_grown};
+use crate::day::DayEpochs;
 use crate::judgement::{Absence, Change, Finding, Judgement, Novelty, State};
 use crate::reference::{Missing, Reference};
 use crate::settings::{Quantity, Settings};
@@ -101,6 +102,23 @@ impl QuantityCourse {
                         None => comparison.is_missing = true,
                     }
                 }
+            }
+        }
+    }
+
+    /// Discards the epochs of the open day in which a quantity was used: that of this course, or a
+    /// thermometer of it.
+    pub(crate) fn discard_day(&mut self, quantity: usize, is_own: bool) {
+        match self {
+            Self::Alone(course) if is_own => course.epochs = DayEpochs::default(),
+            Self::Alone(_) => {}
+            Self::Compared(of) => {
+                let is_used = |one: &&mut Comparison| is_own || one.thermometer == quantity;
+                let concerned = of.serving_mut().filter(is_used);
+                concerned.for_each(|comparison| {
+                    comparison.course.epochs = DayEpochs::default();
+                    comparison.is_missing |= !is_own;
+                });
             }
         }
     }
