@@ -74,6 +74,7 @@ mod judgement;
 mod settings;
 
 mod amplitude;
+mod climate;
 mod day;
 mod extremes;
 mod frost;
@@ -94,8 +95,8 @@ mod budget;
 mod condition_watch;
 mod course;
 mod judge;
-mod reference;
 mod quantity_watch;
+mod reference;
 mod report;
 mod thermometers;
 

@@ -2,6 +2,7 @@
 
 use crate::calibration::{Calibration, Performance, Steps};
 use crate::choice::Choice;
+use crate::climate::implausible;
 use crate::course::Frame;
 use crate::cumulant::Cumulant;
 use crate::day::Day;
@@ -93,7 +94,25 @@ pub enum Missing {
         /// Smallest share allowed.
         needed: f64,
     },
+    /// The unit of a temperature is probably wrong: the commissioning is too hot.
+    Hot {
+        /// Name of the temperature.
+        condition: String,
+        /// Median of the days (°C).
+        median: f64,
+    },
+    /// The unit of a temperature is probably wrong: the commissioning is too cold.
+    Cold {
+        /// Name of the temperature.
+        condition: String,
+        /// Temperature below which nine of ten days are (°C).
+        warm: f64,
+    },
 }
+
+/// What to do about an implausible temperature.
+const CHECK_UNIT: &str = "its unit is probably wrong; if the values are right, declare the unit \
+                          \"other\"";
 
 impl std::fmt::Display for Missing {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -119,6 +138,15 @@ impl std::fmt::Display for Missing {
                  changed during the commissioning",
                 100.0 * found,
                 100.0 * needed
+            ),
+            Self::Hot { condition, median } => write!(
+                f,
+                "the median of {condition} in the commissioning is {median:.1} °C; {CHECK_UNIT}"
+            ),
+            Self::Cold { condition, warm } => write!(
+                f,
+                "nine of ten days of the commissioning have {condition} below {warm:.1} °C; \
+                 {CHECK_UNIT}"
             ),
         }
     }
@@ -160,6 +188,9 @@ impl Reference {
                 days: days.len() as u32,
                 needed: needed as u32,
             });
+        }
+        if let Some(missing) = implausible(days, &settings.conditions) {
+            return Err(missing);
         }
         let centre = days.iter().map(|day| day.y).sum::<f64>() / days.len() as f64;
         let columns = Columns::new(quantity, explanation, days);
