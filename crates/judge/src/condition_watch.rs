@@ -1,5 +1,6 @@
 //! Watches a condition: one that is frozen or has jumped gives no statement.
 
+use crate::day::DAY_S;
 use serde::{Deserialize, Serialize};
 
 /// A condition that does not move this long (s) is frozen,
@@ -10,11 +11,20 @@ const FROZEN_EPOCHS: u32 = 8;
 const STILL: f64 = 0.05;
 /// and range (°C) in which it has moved before. A room with a constant temperature is measured.
 const MOVED: f64 = 1.0;
+/// A thermometer that does not move has at most this share of its usual range of a day. A wet or
+/// disconnected sensor has more noise than an open input.
+const STILL_SHARE: f64 = 0.02;
+/// Number of days from which its usual range is known, and of epochs in each.
+const USUAL_DAYS: u32 = 20;
+const USUAL_EPOCHS: u32 = 4;
 
 /// Change (°C) of a thermometer from one epoch to the next that its weather hardly explains,
 const JUMP: f64 = 15.0;
 /// in units of its largest change before. Asphalt in the sun changes faster than concrete.
 const JUMP_RATIO: f64 = 1.5;
+/// Largest change (°C) from one epoch to the next by weather. A larger one is a fault, even if the
+/// thermometer goes back.
+const MOST_WEATHER: f64 = 30.0;
 /// Longest time (s) between two such epochs. Within this time, a change by weather goes back.
 const JUMP_S: f64 = 86_400.0;
 /// Share of a jump by which the thermometer must go back.
@@ -38,6 +48,20 @@ pub(crate) struct ConditionWatch {
     /// Largest change from one epoch to the next that was no jump.
     largest_change: f64,
     jump: Option<Jump>,
+    today: DayRange,
+    /// Mean range of the days on which the condition moved, and their number.
+    usual_range: f64,
+    usual_days: u32,
+}
+
+/// Range of the values of one day.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+struct DayRange {
+    day: i64,
+    low: f64,
+    high: f64,
+    epochs: u32,
+    is_still: bool,
 }
 
 /// Values that do not move.
@@ -60,13 +84,40 @@ struct Jump {
 impl ConditionWatch {
     /// Takes a value (scale of the model), and returns why it does not count, if it does not.
     pub(crate) fn doubt(&mut self, time_s: f64, value: f64, is_temperature: bool) -> Option<Doubt> {
-        let tolerance = if is_temperature { STILL } else { 0.0 };
-        if self.is_frozen(time_s, value, tolerance) {
+        self.begin_day(time_s);
+        let tolerance = match is_temperature {
+            true if self.usual_days >= USUAL_DAYS => STILL.max(STILL_SHARE * self.usual_range),
+            true => STILL,
+            false => 0.0,
+        };
+        let is_frozen = self.is_frozen(time_s, value, tolerance);
+        self.today.add(value, is_frozen);
+        if is_frozen {
             // What comes after it cannot be compared with what was before it.
             (self.last, self.jump) = (None, None);
             return Some(Doubt::Frozen);
         }
         (is_temperature && self.has_jumped(time_s, value)).then_some(Doubt::Jumped)
+    }
+
+    /// Adds the last day to the usual ones, if a later day begins.
+    fn begin_day(&mut self, time_s: f64) {
+        let day = (time_s / DAY_S).floor() as i64;
+        if self.today.epochs > 0 && self.today.day == day {
+            return;
+        }
+        let DayRange {
+            low,
+            high,
+            epochs,
+            is_still,
+            ..
+        } = std::mem::take(&mut self.today);
+        self.today.day = day;
+        if epochs >= USUAL_EPOCHS && !is_still {
+            self.usual_days = self.usual_days.saturating_add(1);
+            self.usual_range += (high - low - self.usual_range) / f64::from(self.usual_days);
+        }
     }
 
     fn is_frozen(&mut self, time_s: f64, value: f64, tolerance: f64) -> bool {
@@ -100,7 +151,9 @@ impl ConditionWatch {
         if let Some(Jump { at_s, from, size }) = self.jump {
             // The change of a day goes back within a day.
             if time_s - at_s <= JUMP_S && (value - from) / size <= 1.0 - BACK {
-                self.largest_change = self.largest_change.max(size.abs());
+                if size.abs() <= MOST_WEATHER {
+                    self.largest_change = self.largest_change.max(size.abs());
+                }
                 self.jump = None;
             } else if -change / size >= BACK {
                 self.jump = None;
@@ -115,6 +168,17 @@ impl ConditionWatch {
             self.largest_change = self.largest_change.max(change.abs());
         }
         self.jump.is_some()
+    }
+}
+
+impl DayRange {
+    fn add(&mut self, value: f64, is_still: bool) {
+        if self.epochs == 0 {
+            (self.low, self.high) = (value, value);
+        }
+        (self.low, self.high) = (self.low.min(value), self.high.max(value));
+        self.epochs = self.epochs.saturating_add(1);
+        self.is_still |= is_still;
     }
 }
 
@@ -150,6 +214,32 @@ mod tests {
                 .all(|doubt| *doubt == Some(Doubt::Frozen))
         );
         assert_eq!(found[148..], [None, None]);
+    }
+
+    #[test]
+    fn thermometer_with_a_range_far_below_its_usual_one_is_frozen() {
+        let weeks = || (0..15).flat_map(|_| weather());
+        let noise = (0..100).map(|hour| 10.0 + 0.06 * (f64::from(hour) * 12.9898).sin());
+        let found = doubts(weeks().chain(noise).chain(weather()));
+        let first = found.iter().position(Option::is_some);
+        assert_eq!(first, Some(30 * 24 + 24));
+        let still = &found[31 * 24..30 * 24 + 100];
+        assert!(still.iter().all(|doubt| *doubt == Some(Doubt::Frozen)));
+        let after = &found[30 * 24 + 101..];
+        assert!(after.iter().all(Option::is_none), "{after:?}");
+    }
+
+    #[test]
+    fn spikes_are_faults_however_many_there_are() {
+        let days = || (0..15).flat_map(|_| weather());
+        let spiked = days().enumerate().map(|(hour, celsius)| match hour % 19 {
+            7 => 79.0,
+            _ => celsius,
+        });
+        for (hour, doubt) in doubts(spiked).into_iter().enumerate() {
+            let expected = (hour % 19 == 7).then_some(Doubt::Jumped);
+            assert_eq!(doubt, expected, "hour {hour}");
+        }
     }
 
     #[test]

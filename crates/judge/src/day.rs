@@ -15,11 +15,13 @@ pub(crate) const DAY_S: f64 = 86_400.0;
 
 /// Most epochs of a day that are kept. Beyond it, every second one is left out.
 const MOST_EPOCHS: usize = 96;
-/// An epoch that is farther than this from the median of its day belongs to another mode, in robust
-/// standard deviations,
+/// An epoch that is farther than this from the median of its day belongs to another mode or is a
+/// fault of the thermometer, in robust standard deviations,
 const FARTHEST: f64 = 5.0;
 /// and at least this far, in ln(value).
 const SMALLEST_DISTANCE: f64 = 0.01;
+/// The same distance of a temperature (°C). The sun heats a dark surface by this much at noon.
+const SMALLEST_SPIKE: f64 = 20.0;
 /// Robust standard deviation per median of the absolute deviations.
 const ROBUST: f64 = 1.4826;
 
@@ -102,15 +104,23 @@ impl DayEpochs {
             thermometer,
         } = explanation;
         let epochs = std::mem::take(self).kept;
-        let of_quantity = Near::new(epochs.iter().map(|(y, _)| *y))?;
-        let of_thermometer = match thermometer {
-            Some(_) => Near::new(epochs.iter().map(|(_, values)| values[conditions.len()])),
-            None => None,
+        let of_quantity = Near::new(epochs.iter().map(|(y, _)| *y), SMALLEST_DISTANCE)?;
+        let explains = |index: usize, smallest: f64| {
+            let near = Near::new(epochs.iter().map(|(_, values)| values[index]), smallest)?;
+            Some((index, near))
         };
+        let temperatures = indices(conditions, ConditionKind::is_temperature);
+        let of_temperatures = temperatures.iter().map(|index| (*index, SMALLEST_SPIKE));
+        let of_thermometer = thermometer.map(|_| (conditions.len(), SMALLEST_DISTANCE));
+        let explaining: Vec<(usize, Near)> = of_temperatures
+            .chain(of_thermometer)
+            .filter_map(|(index, smallest)| explains(index, smallest))
+            .collect();
         let counts = |epoch: &&(f64, Vec<f64>)| {
             let (y, values) = epoch;
-            let is_same_mode = |near: Near| near.contains(values[conditions.len()]);
-            of_quantity.contains(*y) && of_thermometer.is_none_or(is_same_mode)
+            let mut explaining = explaining.iter();
+            of_quantity.contains(*y)
+                && explaining.all(|(index, near)| near.contains(values[*index]))
         };
         let counting: Vec<_> = epochs.iter().filter(counts).collect();
         let (_, first) = counting.first()?;
@@ -121,7 +131,6 @@ impl DayEpochs {
         let below = |index: usize| {
             std::array::from_fn(|knot| mean(&|values| below_all(values[index])[knot]) as f32)
         };
-        let temperatures = indices(conditions, ConditionKind::is_temperature);
         let amplitudes = indices(conditions, ConditionKind::is_amplitude);
         let amplitude =
             |index: usize| parts(counting.iter().map(|(_, values)| values[index]).collect());
@@ -138,7 +147,7 @@ impl DayEpochs {
     }
 }
 
-/// The values of a day that belong to one mode.
+/// The values of a day that belong to one mode, or to a thermometer without its spikes.
 #[derive(Debug, Clone, Copy)]
 struct Near {
     median: f64,
@@ -146,13 +155,13 @@ struct Near {
 }
 
 impl Near {
-    /// Returns `None` without values.
-    fn new(values: impl Iterator<Item = f64> + Clone) -> Option<Self> {
+    /// `smallest` is the smallest distance that is far. Returns `None` without values.
+    fn new(values: impl Iterator<Item = f64> + Clone, smallest: f64) -> Option<Self> {
         let middle = median(values.clone())?;
         let spread = median(values.map(|value| (value - middle).abs()))?;
         Some(Self {
             median: middle,
-            farthest: (FARTHEST * ROBUST * spread).max(SMALLEST_DISTANCE),
+            farthest: (FARTHEST * ROBUST * spread).max(smallest),
         })
     }
 
