@@ -143,6 +143,106 @@ fn a_frozen_or_missing_thermometer_gives_no_statement_and_no_alarm() {
     }
 }
 
+/// The program that determines the frequency repeats its last value, or its last day, while the
+/// structure loses a tenth of its stiffness.
+#[test]
+fn a_frozen_quantity_gives_no_statement_and_no_alarm() {
+    for from_last in [1, 4] {
+        let mut series = epochs(200);
+        let late = 130 * 4;
+        for index in late..series.len() {
+            series[index].quantities = series[index - from_last].quantities.clone();
+        }
+        let (state, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+        describe(&state, &judgements);
+        assert!(
+            judgements
+                .iter()
+                .all(|judgement| judgement.finding.is_none())
+        );
+        let why = Absence::FrozenQuantity;
+        for judgement in judgements.iter().filter(|judgement| judgement.day >= 132) {
+            let why = why.clone();
+            assert_eq!(judgement.state, State::NoStatement { why }, "{judgement:?}");
+        }
+        assert_eq!(
+            judgements.last().unwrap().sentence(),
+            "f1 is not judged, because it has repeated its values for a day or longer. Check the \
+             program that determines them."
+        );
+    }
+}
+
+#[test]
+fn a_quantity_in_another_unit_gives_no_statement_and_no_change() {
+    let mut series = epochs(160);
+    let late = |epoch: &&mut Epoch| epoch.time_s >= 120.0 * 86_400.0;
+    for epoch in series.iter_mut().filter(late) {
+        epoch.quantities[0] = epoch.quantities[0].map(|hertz| 1000.0 * hertz);
+    }
+    let (_, judgements) = judge(settings(&["f1"], &["deck"], 100), &series);
+    assert!(
+        judgements
+            .iter()
+            .all(|judgement| judgement.finding.is_none())
+    );
+    let last = judgements.last().unwrap();
+    let why = Absence::OtherUnit;
+    assert_eq!(last.state, State::NoStatement { why });
+    assert_eq!(
+        last.sentence(),
+        "f1 is not judged, because its values have jumped by a factor of 10 or more. Check their \
+         unit."
+    );
+}
+
+#[test]
+fn a_temperature_in_a_wrong_unit_is_not_ready_and_names_it() {
+    let declared = |kind, unit: fn(f64) -> f64| {
+        let mut settings = settings(&["f1"], &["deck"], 290);
+        settings.conditions[0].kind = kind;
+        let mut series = epochs(420);
+        for epoch in &mut series {
+            epoch.conditions[0] = epoch.conditions[0].map(unit);
+        }
+        let (_, judgements) = judge(settings, &series);
+        assert!(
+            judgements
+                .iter()
+                .all(|judgement| judgement.finding.is_none())
+        );
+        let last = judgements.last().unwrap();
+        assert!(matches!(last.state, State::NotReady { .. }), "{last:?}");
+        last.sentence()
+    };
+    let told = declared(ConditionKind::Fahrenheit, |celsius| celsius);
+    assert!(
+        told.contains("nine of ten days of the commissioning have deck below -"),
+        "{told}"
+    );
+    assert!(told.contains("its unit is probably wrong"), "{told}");
+    let told = declared(ConditionKind::Celsius, |celsius| 1.8 * celsius + 32.0);
+    assert!(
+        told.contains("the median of deck in the commissioning is "),
+        "{told}"
+    );
+    assert!(told.contains("its unit is probably wrong"), "{told}");
+}
+
+#[test]
+fn a_spike_of_the_thermometer_does_not_change_its_day() {
+    let series = epochs(130);
+    let (_, expected) = judge(settings(&["f1"], &["deck"], 100), &series);
+    let mut spiked = series.clone();
+    for epoch in spiked.iter_mut().skip(7).step_by(19) {
+        epoch.conditions[0] = Some(79.0);
+    }
+    let (_, found) = judge(settings(&["f1"], &["deck"], 100), &spiked);
+    let last = |judgements: &[Judgement]| judgements.last().unwrap().expectation.unwrap();
+    let (found, expected) = (last(&found), last(&expected));
+    assert!((found.expected / expected.expected - 1.0).abs() < 0.002);
+}
+
 /// The deck has been cold when its input opens. Without its warming, the frequency seems to fall.
 #[test]
 fn an_open_input_with_slight_noise_is_frozen_and_hides_no_season() {
