@@ -18,6 +18,10 @@ use crate::{
     table_layout::{HEAD_BYTES, Separator, SingleBlanks, TableLayout},
 };
 
+/// The times that a file may contain.
+const FORMS: &str = "seconds, ISO 8601, DD.MM.YYYY HH:MM or YYYY/MM/DD HH:MM";
+/// Words for a missing sample, in any case.
+const MISSING: [&str; 5] = ["", "-", "NA", "N/A", "#N/A"];
 /// Distance from which a row is far ahead of its neighbours, as a multiple of their distance. Rows
 /// in a wrong order are closer.
 const FAR_AHEAD: i64 = 10;
@@ -29,8 +33,8 @@ const FAR_AHEAD: i64 = 10;
 /// Columns are separated by commas, semicolons, tabs or blanks. Numbers may have a decimal comma if
 /// commas are not the separator.
 ///
-/// An empty field, or `NaN`, is a missing sample. Columns that the mapping does not name are
-/// ignored. A row has at most 1 MiB, and a table at most 10,000 columns.
+/// An empty field, `NaN`, `NA`, `N/A`, `#N/A` or `-` is a missing sample. Columns that the mapping
+/// does not name are ignored. A row has at most 1 MiB, and a table at most 10,000 columns.
 pub struct CsvReader<'a> {
     path: PathBuf,
     csv: csv::Reader<Box<dyn Read + Send + 'a>>,
@@ -44,6 +48,9 @@ pub struct CsvReader<'a> {
     fields_per_row: usize,
     time: RowTime,
     time_form: Option<TimeForm>,
+    /// Whether the first time states its zone.
+    has_zone: bool,
+    must_increase: bool,
     previous: Option<PreviousRow>,
     channels: Vec<String>,
     columns: Vec<MappedColumn>,
@@ -148,6 +155,8 @@ impl<'a> CsvReader<'a> {
             fields_per_row: header.len(),
             time,
             time_form: None,
+            has_zone: true,
+            must_increase: true,
             previous: None,
             channels: mapping
                 .channels()
@@ -157,6 +166,19 @@ impl<'a> CsvReader<'a> {
             values: vec![f64::NAN; columns.len()],
             columns,
         })
+    }
+
+    /// Reads rows in any order of time. The caller decides about those that are not in order.
+    #[must_use]
+    pub fn in_any_order(mut self) -> Self {
+        self.must_increase = false;
+        self
+    }
+
+    /// Returns `true` if the first time is a number, or states its zone. A date without a zone
+    /// counts as UTC, but may be a local time.
+    pub fn times_have_zone(&self) -> bool {
+        self.has_zone
     }
 
     /// Returns the line of the last row, from 1. Before the first row, it is the line of the
@@ -216,14 +238,16 @@ impl<'a> CsvReader<'a> {
         };
         let form = match self.time_form {
             Some(form) => form,
-            None => text
-                .and_then(TimeForm::of)
-                .ok_or_else(|| bad_time("seconds or ISO 8601"))?,
+            None => text.and_then(TimeForm::of).ok_or_else(|| bad_time(FORMS))?,
         };
         let time_ns = text
             .and_then(|text| form.parse_ns(text, unit))
             .ok_or_else(|| bad_time(form.name()))?;
-        if let Some(previous) = self.previous.filter(|previous| time_ns <= previous.time_ns) {
+        if self.time_form.is_none() {
+            self.has_zone = text.is_some_and(|text| form.has_zone(text));
+        }
+        let previous = self.previous.filter(|_| self.must_increase);
+        if let Some(previous) = previous.filter(|previous| time_ns <= previous.time_ns) {
             let path = self.path.clone();
             return Err(match previous.earlier_if_far_ahead(time_ns) {
                 Some(earlier_ns) => RecordError::TimeAhead {
@@ -409,9 +433,15 @@ fn locate_columns(
     ))
 }
 
+/// Returns `true` if a field without surrounding white space is a missing sample. `NaN` counts as
+/// a number.
+pub(crate) fn is_missing(text: &str) -> bool {
+    MISSING.iter().any(|word| word.eq_ignore_ascii_case(text))
+}
+
 /// Parses a sample in SI. Returns `NaN` if it is missing, and `None` if it is not a finite number.
 fn parse_sample(text: &str, mapped: &MappedColumn) -> Option<f64> {
-    if text.is_empty() {
+    if is_missing(text) {
         return Some(f64::NAN);
     }
     let number: f64 = text.parse().ok()?;

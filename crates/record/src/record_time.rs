@@ -14,9 +14,19 @@ const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 /// The form of the times in a file. All times of a file have the same form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum TimeForm {
+    /// A number in the unit of the mapping.
     Seconds,
+    /// A number since 1970 in another unit than seconds, which its size reveals.
+    Since1970(TimeUnit),
     Iso8601,
+    /// `DD.MM.YYYY`, `DD.MM.YYYY HH:MM` or `DD.MM.YYYY HH:MM:SS`, UTC.
+    DayMonthYear,
+    /// The same with `YYYY/MM/DD`.
+    YearMonthDay,
 }
+
+/// The years in which a number since 1970 reveals its unit: 2000 to 2100 (ns since 1970).
+const REVEALING_NS: std::ops::Range<i64> = 946_684_800_000_000_000..4_102_444_800_000_000_000;
 
 impl TimeForm {
     /// Returns the form of the first time in a file.
@@ -24,14 +34,48 @@ impl TimeForm {
         if seconds_to_ns(text).is_some() {
             return Some(Self::Seconds);
         }
-        iso_8601_to_ns(text).map(|_| Self::Iso8601)
+        // As seconds, such a number would be after the year 2262. The ranges of the units do not
+        // overlap.
+        let reveals = |unit: &TimeUnit| {
+            number_to_ns(text, unit.fraction_digits()).is_some_and(|ns| REVEALING_NS.contains(&ns))
+        };
+        let smaller = [
+            TimeUnit::Milliseconds,
+            TimeUnit::Microseconds,
+            TimeUnit::Nanoseconds,
+        ];
+        if let Some(unit) = smaller.into_iter().find(reveals) {
+            return Some(Self::Since1970(unit));
+        }
+        [Self::Iso8601, Self::DayMonthYear, Self::YearMonthDay]
+            .into_iter()
+            .find(|form| form.parse_ns(text, TimeUnit::Seconds).is_some())
+    }
+
+    /// Returns `true` if times of this form have a date.
+    pub(crate) fn is_date(self) -> bool {
+        match self {
+            Self::Seconds | Self::Since1970(_) => false,
+            Self::Iso8601 | Self::DayMonthYear | Self::YearMonthDay => true,
+        }
+    }
+
+    /// Returns `true` if a time of this form does not depend on a time zone.
+    pub(crate) fn has_zone(self, text: &str) -> bool {
+        match self {
+            Self::Seconds | Self::Since1970(_) => true,
+            Self::Iso8601 => text.parse::<Timestamp>().is_ok(),
+            Self::DayMonthYear | Self::YearMonthDay => false,
+        }
     }
 
     /// Returns a time (ns) in this form, with its unit.
     pub(crate) fn text(self, time_ns: i64) -> String {
         match self {
             Self::Seconds => format!("{} s", seconds_text(time_ns)),
-            Self::Iso8601 => iso_text(time_ns),
+            Self::Since1970(_) | Self::Iso8601 | Self::DayMonthYear | Self::YearMonthDay => {
+                iso_text(time_ns)
+            }
         }
     }
 
@@ -39,14 +83,33 @@ impl TimeForm {
     pub(crate) fn parse_ns(self, text: &str, unit: TimeUnit) -> Option<i64> {
         match self {
             Self::Seconds => number_to_ns(text, unit.fraction_digits()),
+            // A declared unit counts.
+            Self::Since1970(revealed) => {
+                let unit = if unit == TimeUnit::Seconds {
+                    revealed
+                } else {
+                    unit
+                };
+                number_to_ns(text, unit.fraction_digits())
+            }
             Self::Iso8601 => iso_8601_to_ns(text),
+            Self::DayMonthYear => {
+                let ([day, month, year], time) = date_and_time(text, '.')?;
+                civil_text_ns([year, month, day], time)
+            }
+            Self::YearMonthDay => {
+                let (date, time) = date_and_time(text, '/')?;
+                civil_text_ns(date, time)
+            }
         }
     }
 
     /// Returns a description of the form.
     pub(crate) fn name(self) -> &'static str {
         match self {
-            Self::Seconds => "a number as the first time of the file",
+            Self::Seconds | Self::Since1970(_) => "a number as the first time of the file",
+            Self::DayMonthYear => "DD.MM.YYYY HH:MM:SS as the first time of the file",
+            Self::YearMonthDay => "YYYY/MM/DD HH:MM:SS as the first time of the file",
             Self::Iso8601 => "in ISO 8601 as the first time of the file",
         }
     }
@@ -132,6 +195,43 @@ fn iso_8601_to_ns(text: &str) -> Option<i64> {
             .timestamp(),
     };
     i64::try_from(timestamp.as_nanosecond()).ok()
+}
+
+/// Splits a time at its first blank into the three parts of its date and the time of the day.
+fn date_and_time(text: &str, separator: char) -> Option<([&str; 3], Option<&str>)> {
+    let (date, time) = match text.split_once(' ') {
+        Some((date, time)) => (date, Some(time.trim_start())),
+        None => (text, None),
+    };
+    let mut parts = date.split(separator);
+    let date = [parts.next()?, parts.next()?, parts.next()?];
+    parts.next().is_none().then_some((date, time))
+}
+
+/// Returns the nanoseconds since 1970 of a date (year, month and day) and a time `HH:MM` or
+/// `HH:MM:SS`. The time is 0:00 if it is missing.
+fn civil_text_ns(date: [&str; 3], time: Option<&str>) -> Option<i64> {
+    let number = |text: &str, digits: std::ops::RangeInclusive<usize>| -> Option<i64> {
+        let is_number = digits.contains(&text.len()) && text.bytes().all(|b| b.is_ascii_digit());
+        text.parse().ok().filter(|_| is_number)
+    };
+    let [year, month, day] = date;
+    let (year, month, day) = (
+        number(year, 4..=4)?,
+        number(month, 1..=2)?,
+        number(day, 1..=2)?,
+    );
+    let Some(time) = time else {
+        return civil_ns(year, month, day, 0, 0, 0.0);
+    };
+    let mut parts = time.split(':');
+    let (hour, minute) = (number(parts.next()?, 1..=2)?, number(parts.next()?, 2..=2)?);
+    let second: f64 = match parts.next() {
+        Some(second) => second.parse().ok()?,
+        None => 0.0,
+    };
+    let is_whole = parts.next().is_none();
+    civil_ns(year, month, day, hour, minute, second).filter(|_| is_whole)
 }
 
 /// Returns the nanoseconds since 1970 of a UTC date and time. Returns `None` if the date or time
@@ -299,6 +399,64 @@ mod tests {
                 "{text}"
             );
         }
+    }
+
+    #[test]
+    fn dates_of_spreadsheets_are_read_and_dates_with_a_doubtful_order_are_not() {
+        let read = |text| {
+            let form = TimeForm::of(text)?;
+            Some((form, form.parse_ns(text, TimeUnit::Seconds)?))
+        };
+        let noon = 1_709_208_000_000_000_000;
+        for (text, form, expected) in [
+            ("29.02.2024 12:00", TimeForm::DayMonthYear, noon),
+            (
+                "29.2.2024 12:00:00.5",
+                TimeForm::DayMonthYear,
+                noon + 500_000_000,
+            ),
+            (
+                "29.02.2024",
+                TimeForm::DayMonthYear,
+                noon - 43_200_000_000_000,
+            ),
+            ("2024/02/29 12:00:00", TimeForm::YearMonthDay, noon),
+            (
+                "2024/02/29",
+                TimeForm::YearMonthDay,
+                noon - 43_200_000_000_000,
+            ),
+        ] {
+            assert_eq!(read(text), Some((form, expected)), "{text}");
+            assert!(form.is_date() && !form.has_zone(text), "{text}");
+        }
+        for text in [
+            "02/29/2024 12:00",
+            "30.02.2024 12:00",
+            "29.02.24 12:00",
+            "29.02.2024 24:00",
+        ] {
+            assert_eq!(read(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn the_size_of_a_number_since_1970_reveals_its_unit() {
+        let noon = 1_709_208_000_000_000_000;
+        for (text, unit) in [
+            ("1709208000000", TimeUnit::Milliseconds),
+            ("1709208000000000", TimeUnit::Microseconds),
+            ("1709208000000000000", TimeUnit::Nanoseconds),
+        ] {
+            let form = TimeForm::of(text);
+            assert_eq!(form, Some(TimeForm::Since1970(unit)), "{text}");
+            assert_eq!(
+                form.and_then(|of| of.parse_ns(text, TimeUnit::Seconds)),
+                Some(noon)
+            );
+        }
+        // Milliseconds of 1973, or seconds of the year 5138.
+        assert_eq!(TimeForm::of("100000000000"), None);
     }
 
     #[test]

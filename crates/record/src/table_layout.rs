@@ -2,6 +2,7 @@
 
 use std::io::Read;
 
+use crate::csv_reader::is_missing;
 use crate::record_time::TimeForm;
 
 /// Maximum number of lines before the header. Recorders write metadata there.
@@ -182,7 +183,7 @@ fn is_header(
     let separator = separator(line);
     let (names, values) = (fields(line, separator), fields(row, separator));
     let is_value =
-        |field: &String| field.is_empty() || is_number(field) || TimeForm::of(field).is_some();
+        |field: &String| is_missing(field) || is_number(field) || TimeForm::of(field).is_some();
     let is_row = values.iter().any(|field| is_number(field))
         && values.iter().filter(|field| is_value(field)).count() * 2 >= values.len();
     names.len() == values.len() && is_row && !names.iter().all(is_value)

@@ -176,7 +176,8 @@ fn errors_name_file_line_found_and_allowed() {
     );
     assert_eq!(
         message("time,a,b\nnoon,1,2\n"),
-        "hall.csv:2: time is `noon`, must be seconds or ISO 8601"
+        "hall.csv:2: time is `noon`, must be seconds, ISO 8601, DD.MM.YYYY HH:MM or \
+         YYYY/MM/DD HH:MM"
     );
     assert_eq!(
         message("time,a,b\n0,1,2\n2024-02-29T12:00:00Z,1,2\n"),
@@ -243,6 +244,38 @@ fn other_separators_and_decimal_commas_are_read() {
     ] {
         assert_eq!(rows(text, &mapping).unwrap(), expected, "{text}");
     }
+}
+
+#[test]
+fn spreadsheets_with_their_dates_and_words_for_missing_values_are_read() {
+    let mapping = ColumnMapping::by_name(["a", "b"]);
+    let text = "time;a;b\r\n29.02.2024 12:00;1,5;NA\r\n29.02.2024 13:00;-;2\r\n\
+                29.02.2024 14:00;#N/A;n/a\r\n";
+    let mut reader = reader(text, &mapping).unwrap();
+    let mut found = Vec::new();
+    while let Some(row) = reader.next_row().unwrap() {
+        found.push((
+            row.time_ns,
+            row.values.iter().filter(|value| value.is_nan()).count(),
+        ));
+    }
+    let noon = 1_709_208_000_000_000_000;
+    let hour = 3_600_000_000_000;
+    assert_eq!(found, [(noon, 1), (noon + hour, 1), (noon + 2 * hour, 2)]);
+    assert!(!reader.times_have_zone());
+}
+
+#[test]
+fn rows_in_any_order_are_read_if_that_is_wanted() {
+    let mapping = ColumnMapping::by_name(["a"]);
+    let text = "time,a\n2,1\n1,2\n1,3\n";
+    let mut reader = reader(text, &mapping).unwrap().in_any_order();
+    let mut found = Vec::new();
+    while let Some(row) = reader.next_row().unwrap() {
+        found.push(row.time_ns);
+    }
+    assert_eq!(found, [2_000_000_000, 1_000_000_000, 1_000_000_000]);
+    assert!(reader.times_have_zone());
 }
 
 #[test]

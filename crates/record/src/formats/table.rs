@@ -34,7 +34,7 @@ pub(crate) fn read(
     })?;
     check_header(&head, &layout, path)?;
     let (header, row) = first_lines(&head, &layout);
-    let is_date = |field: &&String| TimeForm::of(field) == Some(TimeForm::Iso8601);
+    let is_date = |field: &&String| TimeForm::of(field).is_some_and(TimeForm::is_date);
     let time_column = match &options.time_column {
         Some(name) => Some(name.clone()),
         None => {
