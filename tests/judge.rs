@@ -217,12 +217,25 @@ fn a_mistake_in_a_series_is_named_with_its_place_and_exit_code_2() {
         Mistake {
             structure: NONE,
             series: ("T12:00", "T03:00"),
-            said: &["bridge.csv:4: time", "is not later than"],
+            said: &[
+                "bridge.csv:4: column `time`: time 2025-01-01T03:00:00Z is not later than",
+                "1 of 3 rows are not in the order of time",
+            ],
         },
         Mistake {
             structure: NONE,
             series: ("2025-01-01T06:00", "2026-01-01T06:00"),
-            said: &["bridge.csv:3: time 2026-01-01T06:00:00Z is far ahead of both neighbours"],
+            said: &[
+                "bridge.csv:3: column `time`: time 2026-01-01T06:00:00Z is far ahead of both \
+                 neighbours",
+            ],
+        },
+        Mistake {
+            structure: NONE,
+            series: ("2025-01-01T00:00:00Z", "100000000000"),
+            said: &[
+                "bridge.csv:2: time is `100000000000`, must be seconds, ISO 8601, DD.MM.YYYY HH:MM",
+            ],
         },
         Mistake {
             structure: NONE,
@@ -290,6 +303,160 @@ fn numbers_of_hours_are_not_read_as_seconds() {
     .unwrap();
     let output = judge(&example("footbridge.toml"), &csv, &[]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+}
+
+/// Returns the lines of the example with other times, and what `judge` prints.
+fn judge_with_times(name: &str, time: impl Fn(i64) -> String) -> (String, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join(name);
+    let series = std::fs::read_to_string(example("footbridge.csv")).unwrap();
+    let mut changed = String::new();
+    for line in series.lines() {
+        let (at, rest) = line.split_once(',').unwrap();
+        match at.parse::<i64>() {
+            Ok(second) => changed += &format!("{},{rest}\n", time(second)),
+            Err(_) => changed += &format!("{line}\n"),
+        }
+    }
+    std::fs::write(&csv, changed).unwrap();
+    let output = judge(&example("footbridge.toml"), &csv, &["--json"]);
+    let stderr = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+    (text(&output.stdout), stderr)
+}
+
+#[test]
+fn the_times_of_spreadsheets_and_loggers_give_the_same_judgements() {
+    let form = |pattern: &'static str| {
+        move |second: i64| {
+            let at = jiff::Timestamp::from_second(second).unwrap();
+            at.strftime(pattern).to_string()
+        }
+    };
+    let (expected, _) = judge_with_times("iso.csv", form("%Y-%m-%dT%H:%M:%SZ"));
+    for pattern in ["%d.%m.%Y %H:%M", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M"] {
+        let (found, stderr) = judge_with_times("dates.csv", form(pattern));
+        assert!(found == expected, "{pattern}: {stderr}");
+    }
+    for zeros in ["", "000", "000000", "000000000"] {
+        let (found, stderr) = judge_with_times("numbers.csv", |second| format!("{second}{zeros}"));
+        assert!(found == expected, "{zeros}: {stderr}");
+    }
+}
+
+#[test]
+fn rows_that_are_not_in_the_order_of_time_are_left_out_with_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("rows.csv");
+    let series = std::fs::read_to_string(example("footbridge.csv")).unwrap();
+    let lines: Vec<&str> = series.lines().collect();
+    let sound = judge(
+        &example("footbridge.toml"),
+        &example("footbridge.csv"),
+        &["--json"],
+    );
+    let run = |lines: &[String]| {
+        std::fs::write(&csv, lines.join("\n") + "\n").unwrap();
+        let output = judge(&example("footbridge.toml"), &csv, &["--json"]);
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{stderr}");
+        assert!(output.stdout == sound.stdout, "{stderr}");
+        stderr
+    };
+    // Line 801 of the file is repeated, and a row of 2032 follows line 1000.
+    let mut disturbed: Vec<String> = lines.iter().map(|line| (*line).to_owned()).collect();
+    let (_, values) = lines[1000].split_once(',').unwrap();
+    disturbed.insert(1000, format!("1956528000,{values}"));
+    disturbed.insert(801, lines[800].to_owned());
+    let stderr = run(&disturbed);
+    assert!(stderr.contains("rows.csv:802: time "), "{stderr}");
+    assert!(stderr.contains("is not later than"), "{stderr}");
+    assert!(stderr.contains("2 of 2042 rows are left out"), "{stderr}");
+    assert!(!stderr.contains("daylight saving"), "{stderr}");
+    // Local times without a zone repeat an hour.
+    let local = disturbed.iter().map(|line| {
+        let (at, rest) = line.split_once(',').unwrap();
+        match at.parse().map(jiff::Timestamp::from_second) {
+            Ok(at) => format!("{},{rest}", at.unwrap().strftime("%d.%m.%Y %H:%M")),
+            Err(_) => line.clone(),
+        }
+    });
+    let stderr = run(&local.collect::<Vec<_>>());
+    assert!(stderr.contains("when daylight saving ends"), "{stderr}");
+}
+
+#[test]
+fn words_for_missing_values_are_those_of_an_empty_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("missing.csv");
+    let series = std::fs::read_to_string(example("footbridge.csv")).unwrap();
+    let with = |word: &str| {
+        let lines = series.lines().enumerate().map(|(index, line)| {
+            let fields: Vec<&str> = line.split(',').collect();
+            match index % 10 {
+                3 => format!("{},{word},{},{}\n", fields[0], fields[2], fields[3]),
+                _ => format!("{line}\n"),
+            }
+        });
+        std::fs::write(&csv, lines.collect::<String>()).unwrap();
+        let output = judge(&example("footbridge.toml"), &csv, &["--json"]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        output.stdout
+    };
+    let empty = with("");
+    for word in ["NA", "N/A", "#N/A", "nan", "-", "NaN", "n/a"] {
+        assert!(with(word) == empty, "{word}");
+    }
+}
+
+/// A note that is not about this series must not clear its loss.
+#[test]
+fn a_note_about_something_else_or_another_time_is_named_with_its_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let notes = folder.path().join("notes.jsonl");
+    let note = "{\"structure\": \"footbridge\", \"quantity\": \"first-bending\", \"time_ns\": \
+                1762300800000000000, \"from_ns\": 1762300800000000000, \"kind\": \"repair\", \
+                \"effect\": \"new-reference\", \"who\": \"ada\", \"text\": \"new bearings\"}";
+    let run = |from: &str, to: &str| {
+        std::fs::write(&notes, format!("\n{}\n", note.replace(from, to))).unwrap();
+        let options = ["--annotations", notes.to_str().unwrap()];
+        let output = judge(
+            &example("footbridge.toml"),
+            &example("footbridge.csv"),
+            &options,
+        );
+        let stderr = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{stderr}");
+        (text(&output.stdout), stderr)
+    };
+    let (stdout, stderr) = run("ada", "ada");
+    assert!(!stderr.contains("notes.jsonl"), "{stderr}");
+    assert!(stdout.contains("first-bending is being learnt"), "{stdout}");
+    for (from, to, told) in [
+        (
+            "footbridge",
+            "footbrige",
+            "notes.jsonl:2: note is left out: structure is `footbrige`, must be `footbridge`",
+        ),
+        (
+            "first-bending",
+            "first-bendng",
+            "notes.jsonl:2: note is left out: quantity is `first-bendng`, must be one of: \
+             `first-bending`, `first-torsion`",
+        ),
+        (
+            "1762300800000000000",
+            "1762300800",
+            "notes.jsonl:2: the new reference has no effect: it begins 1970-01-01T00:00:01Z",
+        ),
+    ] {
+        let (stdout, stderr) = run(from, to);
+        assert!(stderr.contains(told), "{told}\n{stderr}");
+        assert!(
+            !stdout.contains("first-bending is being learnt"),
+            "{stdout}"
+        );
+    }
 }
 
 #[test]

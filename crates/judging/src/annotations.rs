@@ -19,6 +19,15 @@ pub(crate) struct AnnotationLog {
     all: Vec<Annotation>,
 }
 
+/// An annotation of a file, and its line (from 1).
+#[derive(Debug, Clone, PartialEq)]
+pub struct NotedLine {
+    /// Line of the annotation.
+    pub line: usize,
+    /// The annotation.
+    pub annotation: Annotation,
+}
+
 /// Why an annotation is not kept.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Refusal {
@@ -55,7 +64,10 @@ impl AnnotationLog {
     pub(crate) fn open(folder: &Path) -> Result<Self, JudgingError> {
         let path = folder.join(FILE);
         let all = match std::fs::read_to_string(&path) {
-            Ok(text) => read(&text, &path),
+            Ok(text) => {
+                let lines = read(&text, &path).into_iter();
+                lines.map(|noted| noted.annotation).collect()
+            }
             Err(error) if error.kind() == ErrorKind::NotFound => Vec::new(),
             Err(source) => {
                 return Err(JudgingError::Annotations { path, source });
@@ -103,17 +115,21 @@ impl AnnotationLog {
 /// Lines that are not annotations are skipped with a warning that names `path`, because a crash can
 /// truncate the last line.
 #[must_use]
-pub fn read(text: &str, path: &Path) -> Vec<Annotation> {
+pub fn read(text: &str, path: &Path) -> Vec<NotedLine> {
     let lines = text.lines().enumerate();
     let lines = lines.filter(|(_, line)| !line.trim().is_empty());
     let read = |(number, line): (usize, &str)| {
         let annotation = Annotation::decode("application/json", line.as_bytes());
-        annotation
+        let annotation = annotation
             .inspect_err(|error| {
                 warn!(file = %path.display(), line = number + 1, %error, "not an annotation; left \
                                                                           out");
             })
-            .ok()
+            .ok()?;
+        Some(NotedLine {
+            line: number + 1,
+            annotation,
+        })
     };
     let all = lines.filter_map(read);
     all.take(JudgementCourse::MOST_ANNOTATIONS).collect()

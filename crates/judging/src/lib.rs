@@ -18,7 +18,7 @@
 //! - `judging`: closed epochs in, judgements and events out
 //! - `epoch_log`, `annotations`, `configurations`, `loss_log`: the files
 //! - `bench`: keeps what arrives, then judges it
-//! - [`new_reference`], [`read_annotations`]: the same for a series offline
+//! - [`new_reference`], [`read_annotations`], [`NotedLine`]: the same for a series offline
 //! - [`JudgeService`], [`JudgePlanned`]: the service
 //!
 //! The maths is in `spandrel-judge`. For rules on single estimates, use `spandrel-alert`.
@@ -42,7 +42,7 @@ mod service;
 #[cfg(test)]
 mod testing;
 
-pub use annotations::read as read_annotations;
+pub use annotations::{NotedLine, read as read_annotations};
 pub use configurations::Configuration;
 pub use course::{LEAST_LN_EVIDENCE, course_row};
 pub use error::{JudgingError, NoPast};
