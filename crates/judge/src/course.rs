@@ -21,9 +21,6 @@ const RETRY_DAYS: i64 = 7;
 const LEARNED_AWAY_QUANTILE: f64 = 3.090;
 /// Quantile of a 95 % interval.
 const INTERVAL_QUANTILE: f64 = 1.960;
-/// A day with more than this share of the logarithm of the threshold does not teach the width of the
-/// interval, because a change must not widen it.
-const CHANGE_SHARE: f64 = 0.5;
 /// Days after a finding on which its first day is estimated again. Later days can contain further
 /// changes, which would move it.
 const DATING_DAYS: i64 = 30;
@@ -266,10 +263,11 @@ impl Judging {
             self.latest.add(self.day_change(day.number, &row, variance));
         }
         let expectation = self.expectation(day, &expected, z);
-        let shows_change = self
-            .detector
-            .exceeds(CHANGE_SHARE * self.reference.ln_threshold);
-        if !alarm && novelty.is_none() && !shows_change {
+        // A change must not widen the interval. The days before an alarm can belong to it.
+        let shows_change = self.detector.exceeds(self.reference.ln_threshold);
+        if alarm {
+            self.quantile = self.reference.quantile;
+        } else if novelty.is_none() && !shows_change {
             let error = (row.y - expected.value) / expected.scatter_std;
             self.quantile = interval::next(self.quantile, self.reference.quantile, error);
         }
