@@ -137,7 +137,17 @@ pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, 
 /// therefore positive and the interval finite. With scatter from few records, the function finds
 /// the ends numerically.
 pub fn loss_estimate(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
-    let estimate = &with_model_error(estimate, reference);
+    loss_as_modelled(&with_model_error(estimate, reference), reference)
+}
+
+/// Returns the loss against the reference with its 95 % interval, as the model measures it.
+///
+/// The error of the model is the same in two losses of one parameter. Two such losses are therefore
+/// compared without it.
+pub(crate) fn loss_as_modelled(
+    estimate: &ParameterEstimate,
+    reference: &Reference,
+) -> LossEstimate {
     if reference.scatter().is_some() {
         return loss_of_any_distribution(estimate, reference);
     }
@@ -187,7 +197,7 @@ pub(crate) fn loss_within_record(
     }
 }
 
-/// Computes [`loss_estimate`] for any distribution. The probability of a loss decreases as that
+/// Computes [`loss_as_modelled`] for any distribution. The probability of a loss decreases as that
 /// loss grows.
 fn loss_of_any_distribution(estimate: &ParameterEstimate, reference: &Reference) -> LossEstimate {
     let loss = 1.0 - estimate.mean / reference.mean();
@@ -271,15 +281,24 @@ mod tests {
             (1.2, 0.3, 1.0, 0.3),
         ] {
             let reference = Reference::new(r, s_r).unwrap();
-            let interval = loss_estimate(&estimate(mean, std), &reference);
-            let of_structure = estimate(mean, std.hypot(0.05 * (r - mean)));
-            let at_low = probability_of_loss(&of_structure, &reference, interval.low);
-            let at_high = probability_of_loss(&of_structure, &reference, interval.high);
+            let interval = loss_as_modelled(&estimate(mean, std), &reference);
+            let at_low = probability_of_loss(&estimate(mean, std), &reference, interval.low);
+            let at_high = probability_of_loss(&estimate(mean, std), &reference, interval.high);
             assert!(
                 (at_low - 0.975).abs() < 1e-12 && (at_high - 0.025).abs() < 1e-12,
                 "{at_low} {at_high}"
             );
             assert!(interval.low < interval.loss && interval.loss < interval.high);
         }
+    }
+
+    #[test]
+    fn interval_of_an_exact_estimate_contains_the_error_of_the_model() {
+        let interval = loss_estimate(&estimate(0.6, 0.0), &Reference::DESIGN);
+        // One standard deviation is 5 % of 0.4, that is 0.02, and 1.96 of them are 0.0392.
+        assert!(
+            (interval.low - 0.3608).abs() < 1e-5 && (interval.high - 0.4392).abs() < 1e-5,
+            "{interval:?}"
+        );
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
-use crate::{loss_estimate, probability_of_loss};
+use crate::credibility::loss_as_modelled;
+use crate::probability_of_loss;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
@@ -193,11 +194,9 @@ fn interval_of_a_loss_ends_where_its_probability_is_0_975_and_0_025() {
             records.into_iter().map(|mean| record(mean, 0.01)).collect();
         let reference = estimated(&records).unwrap().reference("storey-1").unwrap();
         for found in [estimate(0.7, 0.01), estimate(1.0, 0.05), estimate(0.1, 0.1)] {
-            let interval = loss_estimate(&found, &reference);
-            let of_model = 0.05 * (reference.mean() - found.mean);
-            let of_structure = estimate(found.mean, found.std.hypot(of_model));
-            let at_low = probability_of_loss(&of_structure, &reference, interval.low);
-            let at_high = probability_of_loss(&of_structure, &reference, interval.high);
+            let interval = loss_as_modelled(&found, &reference);
+            let at_low = probability_of_loss(&found, &reference, interval.low);
+            let at_high = probability_of_loss(&found, &reference, interval.high);
             assert!(
                 (at_low - 0.975).abs() < 1e-9 && (at_high - 0.025).abs() < 1e-9,
                 "{at_low} {at_high}"

@@ -1,7 +1,7 @@
 //! The alerts of a decision, and revisions of raised alerts.
 
 use super::Decision;
-use crate::credibility::{loss_estimate, probability_of_loss};
+use crate::credibility::{loss_as_modelled, loss_estimate, probability_of_loss};
 use crate::wording::{Before, describe};
 use crate::{Alert, ParameterEstimate};
 use spandrel_bus::{AlertState, EstimateFlags, Phase, losses_agree};
@@ -30,9 +30,12 @@ impl Decision {
         if !is_raised || !is_due {
             return;
         }
-        let now = loss_estimate(&estimate, &reference);
+        let now = loss_as_modelled(&estimate, &reference);
+        let told = last
+            .reference
+            .map(|reference| loss_as_modelled(&last.estimate, &reference));
         let is_seen = last.state == AlertState::Acknowledged;
-        if let Some(told) = last.loss.filter(|_| is_seen) {
+        if let Some(told) = told.filter(|_| is_seen) {
             // The first revision after the acknowledgement is still to come.
             let seen = *self.acknowledged_up_to.get_or_insert(told.high);
             if now.low > seen && !flags.follows_jump {
@@ -41,7 +44,7 @@ impl Decision {
             }
         }
         let has_jumped = last.follows_jump && !flags.follows_jump;
-        let has_moved = last.loss.is_none_or(|told| {
+        let has_moved = told.is_none_or(|told| {
             !losses_agree((told.loss, told.interval()), (now.loss, now.interval()))
         });
         if has_jumped || has_moved {

@@ -218,6 +218,20 @@ fn acknowledged_alert_is_raised_again_when_its_loss_has_grown() {
     assert_eq!(drive.states()[4..], [(Seen, 29)]);
 }
 
+/// The error of the model is the same in both losses, so it cannot hide that one is larger.
+#[test]
+fn error_of_the_model_does_not_delay_a_second_alert() {
+    let mut drive = Drive::new(rule());
+    drive.estimates(0..11, 0.4, SURE);
+    assert!(drive.acknowledge());
+    drive.estimates(11..20, 0.4, SURE);
+    drive.estimates(20..30, 0.34, SURE);
+    assert_eq!(
+        drive.states(),
+        [(Pending, 0), (Raised, 10), (Seen, 10), (Raised, 20)]
+    );
+}
+
 #[test]
 fn unacknowledged_cleared_alert_stays_cleared_until_its_acknowledgement() {
     let mut drive = Drive::new(rule());
