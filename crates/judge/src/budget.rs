@@ -105,7 +105,7 @@ mod tests {
             since_day: found_day,
             loss: 0.05,
             interval: [0.04, 0.06],
-            may_have_recovered: false,
+            ..Change::default()
         }
     }
 

@@ -3,9 +3,9 @@
 use crate::cumulant::CLIP;
 use crate::cusum;
 use crate::day::{Day, DayEpochs};
-use crate::detector::{Detector, Evidence, StepEstimate};
+use crate::detector::{Detector, Evidence, HELD_DAYS, SMALLEST_STEP, StepEstimate};
 use crate::interval;
-use crate::judgement::{Absence, Change, Expectation, Finding, Judgement, Novelty, State};
+use crate::judgement::{Absence, Change, Expectation, Finding, Further, Judgement, Novelty, State};
 use crate::model::{Explanation, Row};
 use crate::present::{DayChange, LatestChanges};
 use crate::reference::{Expected, Missing, Reference};
@@ -39,8 +39,14 @@ struct Found {
     finding: Finding,
     /// Day on which the change was first found.
     first_day: i64,
+    /// Level just before the change, relative to the commissioning, in ln(value).
+    before: f64,
     /// Interval of the loss that was last raised.
     raised: [f64; 2],
+    /// Number of the latest judged days on which the loss had grown.
+    grown_days: u32,
+    /// Last further loss: its day, and the loss that was stated before it.
+    further: Option<(i64, f64)>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -246,8 +252,11 @@ impl Judging {
             true => Some(Novelty::Frost),
             false => learnt_as,
         };
-        let variance = columns.variance(&row, structure, self.adaptive.sigma);
-        let (scale, z) = (expected.std, (row.y - expected.value) / expected.std);
+        // σ is r times that of the commissioning.
+        let ratio = self.reference.spread.ratio();
+        let variance = ratio * ratio * columns.variance(&row, structure, self.adaptive.sigma);
+        let scale = ratio * expected.std;
+        let z = (row.y - expected.value) / scale;
         if novelty.is_none() {
             let cumulant = &self.reference.cumulant;
             let evidence = Evidence {
@@ -261,21 +270,25 @@ impl Judging {
             self.detector.judge(day.number, &row.x, evidence);
             self.cusum = cusum::next(self.cusum, z.clamp(-3.0, 3.0));
             self.latest.add(self.day_change(day.number, &row, variance));
+            if columns.zone(&row) == 0.0 {
+                self.reference.spread.add(z * ratio);
+            }
         }
-        let expectation = self.expectation(day, &expected, z);
+        let expectation = self.expectation(day, &expected, z, ratio);
         // A change must not widen the interval. The days before an alarm can belong to it.
         let shows_change = self.detector.exceeds(self.reference.ln_threshold);
         if alarm {
             self.quantile = self.reference.quantile;
         } else if novelty.is_none() && !shows_change {
-            let error = (row.y - expected.value) / expected.scatter_std;
+            let error = (row.y - expected.value) / (ratio * expected.scatter_std);
             self.quantile = interval::next(self.quantile, self.reference.quantile, error);
         }
         if !alarm {
+            // All variances grow by r², so that the gain does not depend on it.
             let learnt = Learnt {
                 z,
                 scale,
-                variance,
+                variance: variance / (ratio * ratio),
                 novelty: learnt_as,
             };
             self.learn(&row, learnt);
@@ -329,9 +342,9 @@ impl Judging {
         self.detector.learn(&row.x, &response);
     }
 
-    fn expectation(&self, day: &Day, expected: &Expected, z: f64) -> Expectation {
+    fn expectation(&self, day: &Day, expected: &Expected, z: f64, ratio: f64) -> Expectation {
         let centre = self.reference.centre;
-        let half = self.quantile * expected.scatter_std;
+        let half = ratio * self.quantile * expected.scatter_std;
         Expectation {
             measured: day.value(),
             expected: (expected.value + centre).exp(),
@@ -399,41 +412,57 @@ impl Judging {
         if self.detector.finds_loss()
             && let Some(step) = self.detector.loss(frame.day)
         {
-            return Some(self.raise(Finding::LastingLoss, step, frame, per_stiffness));
+            return Some(self.raise(Finding::LastingLoss, step, frame, known));
+        }
+        if self.detector.shows_loss_for_long()
+            && let Some(present) = self.present(self.reference.to_day, frame)
+            && present.is_loss(self.detector.unit())
+            && let Some(step) = self.detector.loss(frame.day)
+        {
+            return Some(self.raise(Finding::LastingLoss, step, frame, known));
         }
         if let Some(drift) = self.learned_away(frame, per_stiffness) {
-            return Some(self.raise(Finding::LearnedAway, drift, frame, per_stiffness));
+            return Some(self.raise(Finding::LearnedAway, drift, frame, known));
         }
         if let Some(known) = known {
             return Some(self.renewed(known, frame, per_stiffness));
         }
         if self.detector.finds_gain() && self.exceeds_reference() {
             let step = self.detector.gain(frame.day)?;
-            return Some(self.raise(Finding::Stiffer, step, frame, per_stiffness));
+            return Some(self.raise(Finding::Stiffer, step, frame, known));
         }
         None
     }
 
-    /// Returns a new finding.
+    /// Returns a new finding, which replaces a `known` notice.
     fn raise(
         &self,
         kind: fn(Change) -> Finding,
         step: StepEstimate,
         frame: Frame<'_>,
-        per_stiffness: f64,
+        known: Option<Found>,
     ) -> Found {
+        let per_stiffness = frame.quantity.kind.per_stiffness();
         let present = self.present(step.day, frame).unwrap_or(step);
-        let change = change(present, per_stiffness, frame.day);
+        // After a frost, only the notice of a gain knows the level before it.
+        let risen = known.map(|known| per_stiffness * (1.0 - middle(known.raised)).ln());
+        let before = self.latest.before(step.day).or(risen);
+        let before = before.unwrap_or(present.size - step.size);
+        let change = change(present, before, per_stiffness, frame.day);
         Found {
             finding: kind(change),
             first_day: frame.day,
+            before,
             raised: change.interval,
+            grown_days: 0,
+            further: None,
         }
     }
 
     /// Returns a finding with the present size of its change.
     ///
-    /// A loss that certainly exceeds the one that was raised, and is twice as large, is raised again.
+    /// A loss that certainly exceeds the one that was raised, by a loss that matters, is raised again
+    /// once this has held for some days.
     fn renewed(&self, known: Found, frame: Frame<'_>, per_stiffness: f64) -> Found {
         let Change {
             found_day,
@@ -453,20 +482,29 @@ impl Judging {
         let Some(present) = self.present(since_day, frame) else {
             return known;
         };
-        let mut change = change(present, per_stiffness, found_day);
-        let mut raised = known.raised;
-        let was_raised = 0.5 * (raised[0] + raised[1]);
+        let mut change = change(present, known.before, per_stiffness, found_day);
+        let mut found = known;
+        let was_raised = middle(known.raised);
         change.may_have_recovered =
-            raised[0] > 0.0 && change.interval[0] <= 0.0 && change.loss < 0.5 * was_raised;
-        if known.finding.is_alarm() && has_grown(&change, raised) {
+            known.raised[0] > 0.0 && change.interval[0] <= 0.0 && change.loss < 0.5 * was_raised;
+        if self.latest.last_day() == Some(frame.day) {
+            let grows =
+                known.finding.is_alarm() && has_grown(&change, known.raised, frame.settings.loss);
+            found.grown_days = if grows { known.grown_days + 1 } else { 0 };
+        }
+        if found.grown_days >= HELD_DAYS {
+            let day = self.latest.fall_day(since_day).unwrap_or(frame.day);
             change.found_day = frame.day;
-            raised = change.interval;
+            found.grown_days = 0;
+            found.raised = change.interval;
+            found.further = Some((day, was_raised));
         }
-        Found {
-            finding: known.finding.with(change),
-            raised,
-            ..known
-        }
+        change.further = found.further.map(|(since_day, before)| Further {
+            since_day,
+            loss: change.loss - before,
+        });
+        found.finding = known.finding.with(change);
+        found
     }
 
     /// Returns `true` if a gain leads beyond the commissioning. Otherwise a loss that was learnt
@@ -483,6 +521,9 @@ impl Judging {
 
     /// Returns the drift of the adaptive model from the frozen one at the reference conditions, if
     /// a loss that matters is credible.
+    ///
+    /// What was learnt in the frost zone or under new conditions may be wrong. Therefore the day must
+    /// have evidence, and the latest days must show a loss as well.
     fn learned_away(&self, frame: Frame<'_>, per_stiffness: f64) -> Option<StepEstimate> {
         let Reference {
             conditions,
@@ -490,6 +531,10 @@ impl Judging {
             to_day,
             ..
         } = &self.reference;
+        let present = self.present(*to_day, frame)?;
+        if !self.latest.has_evidence_on(frame.day) || !present.is_certain_loss() {
+            return None;
+        }
         let size = self.adaptive.expected(conditions) - posterior.expected(conditions);
         let std = self.reference_variance(frame.day).sqrt();
         let matters = per_stiffness * (1.0 - frame.settings.loss).ln();
@@ -512,7 +557,9 @@ struct Learnt {
 }
 
 /// Returns the change of stiffness against the commissioning.
-fn change(present: StepEstimate, per_stiffness: f64, found_day: i64) -> Change {
+///
+/// `before` is the level just before it, relative to the commissioning, in ln(value).
+fn change(present: StepEstimate, before: f64, per_stiffness: f64, found_day: i64) -> Change {
     let StepEstimate { size, std, .. } = present;
     Change {
         found_day,
@@ -520,15 +567,21 @@ fn change(present: StepEstimate, per_stiffness: f64, found_day: i64) -> Change {
         loss: loss(size, per_stiffness),
         interval: [INTERVAL_QUANTILE, -INTERVAL_QUANTILE]
             .map(|quantile| loss(size + quantile * std, per_stiffness)),
+        drop: loss(size - before, per_stiffness),
+        further: None,
         may_have_recovered: false,
     }
 }
 
-/// Returns `true` if a loss certainly exceeds the one that was `raised` with this interval, and is
-/// twice as large.
-pub(crate) fn has_grown(change: &Change, raised: [f64; 2]) -> bool {
-    let was_raised = 0.5 * (raised[0] + raised[1]);
-    change.interval[0] > raised[1] && change.loss >= 2.0 * was_raised
+/// Returns `true` if a loss certainly exceeds the one that was `raised` with this interval, by a
+/// further loss that is large enough to be raised. `matters` is the loss that matters.
+pub(crate) fn has_grown(change: &Change, raised: [f64; 2], matters: f64) -> bool {
+    let further = change.loss - middle(raised);
+    change.interval[0] > raised[1] && further >= SMALLEST_STEP * matters
+}
+
+fn middle([low, high]: [f64; 2]) -> f64 {
+    0.5 * (low + high)
 }
 
 /// Returns the loss of stiffness (share) of a change of ln(value).

@@ -31,8 +31,12 @@ pub(crate) const SHORTEST_STEP_DAYS: u32 = 3;
 /// days, and the evidence recedes after them.
 pub(crate) const HELD_DAYS: u32 = 3;
 
+/// Number of judged days on which R must hold its threshold, so that a slow loss is raised. Most of
+/// it is learnt, so that no step explains it.
+const HELD_DAYS_SLOW: u32 = 30;
+
 /// Smallest step that is raised, as a share of the loss that matters.
-const SMALLEST_STEP: f64 = 0.7;
+pub(crate) const SMALLEST_STEP: f64 = 0.7;
 /// A step is raised if it differs from zero with a probability of 0.99: this quantile of the normal
 /// distribution.
 const CERTAIN: f64 = 2.326;
@@ -85,6 +89,16 @@ impl StepEstimate {
         self.std.hypot(deviation.of_mean(day - self.day + 1))
     }
 
+    /// Returns `true` if it is a loss with a probability of 0.99.
+    pub(crate) fn is_certain_loss(self) -> bool {
+        self.size <= -CERTAIN * self.std
+    }
+
+    /// Returns `true` if it is also large enough to be raised. `unit` is that of the detector.
+    pub(crate) fn is_loss(self, unit: f64) -> bool {
+        self.size <= -SMALLEST_STEP * unit && self.is_certain_loss()
+    }
+
     /// Returns `true` if the step is large enough to be raised on a day. `unit` is that of the
     /// detector.
     ///
@@ -105,6 +119,8 @@ pub(crate) struct Detector {
     /// Number of the latest judged days on which a loss, and a gain, were above the threshold.
     held_loss: u32,
     held_gain: u32,
+    /// Number of the latest judged days on which R of a loss was above the threshold.
+    held_evidence: u32,
 }
 
 impl Detector {
@@ -114,6 +130,7 @@ impl Detector {
             candidates: Vec::new(),
             held_loss: 0,
             held_gain: 0,
+            held_evidence: 0,
         }
     }
 
@@ -147,8 +164,10 @@ impl Detector {
         let matters = |step: Option<StepEstimate>| {
             step.is_some_and(|step| step.matters(day, unit, data.deviation))
         };
-        let loss = self.ln_loss() >= data.ln_threshold && matters(self.loss(day));
+        let evidence = self.ln_loss() >= data.ln_threshold;
+        let loss = evidence && matters(self.loss(day));
         let gain = self.ln_gain() >= data.ln_threshold && matters(self.gain(day));
+        self.held_evidence = counted(evidence, self.held_evidence);
         self.held_loss = counted(loss, self.held_loss);
         self.held_gain = counted(gain, self.held_gain);
         if self.candidates.len() > MOST_CANDIDATES {
@@ -193,6 +212,16 @@ impl Detector {
     /// Returns `true` if a loss that matters has begun, and has been seen for some days.
     pub(crate) fn finds_loss(&self) -> bool {
         self.held_loss >= HELD_DAYS
+    }
+
+    /// Returns `true` if the evidence of a loss has held for a month, whatever its most likely step.
+    pub(crate) fn shows_loss_for_long(&self) -> bool {
+        self.held_evidence >= HELD_DAYS_SLOW
+    }
+
+    /// Returns the change of ln(value) of the loss that matters, positive.
+    pub(crate) fn unit(&self) -> f64 {
+        self.unit
     }
 
     /// Returns `true` if a gain of the same size has begun.

@@ -126,7 +126,7 @@ impl Finding {
 }
 
 /// Present size of a lasting change of the stiffness.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Change {
     /// Day on which the change was found (days since 1970-01-01 UTC). A loss that certainly exceeds
     /// the one that was found before is found again.
@@ -139,9 +139,31 @@ pub struct Change {
     /// 95 % interval of the loss, `[low, high]`, as shares of the stiffness. Negative values are a
     /// gain.
     pub interval: [f64; 2],
+    /// Present loss relative to the level just before the change, as a share of that level. It is
+    /// larger than `loss` if the stiffness had risen before.
+    pub drop: f64,
+    /// The last further loss that was found, if any.
+    pub further: Option<Further>,
     /// Whether a certain loss was found, less than half of it remains, and the interval contains
     /// zero.
     pub may_have_recovered: bool,
+}
+
+/// A loss that was found while an earlier one held.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Further {
+    /// Most credible first day of the further loss (days since 1970-01-01 UTC).
+    pub since_day: i64,
+    /// Present loss beyond the one that was found before, as a share of the stiffness of the
+    /// commissioning.
+    pub loss: f64,
+}
+
+impl Change {
+    /// Returns `true` if most of the change is the return from a level that had risen.
+    fn is_from_above(&self) -> bool {
+        self.interval[0] <= 0.0 && self.loss < 0.5 * self.drop
+    }
 }
 
 /// Expected value of a day, and how far the measured value is from it.
@@ -206,12 +228,21 @@ impl Judgement {
             let of_gain = format!("(95 % interval {:.1} to {:.1} %)", -high, -low);
             let since = date(change.since_day);
             let loss = 100.0 * change.loss;
-            return match finding {
+            let mut sentence = match finding {
                 Finding::LastingLoss(_) if change.may_have_recovered => format!(
                     "{name} lost stiffness, most probably since {since}, and may have recovered: \
                      its present loss is {loss:.1} % {interval}."
                 ),
-                // Uncertain against the commissioning, such as after a gain.
+                Finding::LastingLoss(_) if change.is_from_above() => format!(
+                    "{name} has dropped by {:.1} % of stiffness, most probably since {since}, from \
+                     a level that had risen. Its change since the commissioning is {:+.1} % \
+                     [{:+.1}, {:+.1}].",
+                    100.0 * change.drop,
+                    -loss,
+                    -high,
+                    -low
+                ),
+                // Uncertain against the commissioning.
                 Finding::LastingLoss(_) if low <= 0.0 => format!(
                     "{name} has lost stiffness, most probably since {since}. Its loss since the \
                      commissioning is {loss:.1} % {interval}."
@@ -235,6 +266,14 @@ impl Judgement {
                     -loss
                 ),
             };
+            if let Some(further) = change.further.filter(|further| further.loss > 0.0) {
+                sentence.push_str(&format!(
+                    " A further loss of {:.1} % of stiffness was found, most probably since {}.",
+                    100.0 * further.loss,
+                    date(further.since_day)
+                ));
+            }
+            return sentence;
         }
         match &self.state {
             State::Learning { days_left } => {
@@ -300,7 +339,8 @@ mod tests {
             interval: [loss - 0.01, loss + 0.01],
             since_day: 20_385, // 2025-10-24: date -u -d @$((86400 * 20385))
             found_day: 20_389,
-            may_have_recovered: false,
+            drop: loss,
+            ..Change::default()
         };
         let sentence = |finding, day| {
             let (quantity, state) = ("bending".to_owned(), State::Judged);

@@ -47,6 +47,7 @@
 //!
 //! - `day`, `frost`, `amplitude`, `extremes`, `model`: the mean of a day and its regressors
 //! - `regression`, `choice`: a dynamic linear model with priors in physical units
+//! - `spread`: the present scatter
 //! - `cumulant`, `detector`, `cusum`: the evidence of a lasting step
 //! - `calibration`: the threshold that holds the budget
 //! - `interval`: the width of the 95 % interval, which follows the judged days
@@ -84,6 +85,7 @@ mod present;
 
 mod choice;
 mod regression;
+mod spread;
 
 mod calibration;
 mod cumulant;
@@ -106,7 +108,7 @@ pub use epoch::Epoch;
 pub use error::JudgeError;
 pub use judge::{Judge, NewReference};
 pub use judgement::{
-    Absence, Change, DayMeans, Expectation, Finding, Judgement, Novelty, State, date,
+    Absence, Change, DayMeans, Expectation, Finding, Further, Judgement, Novelty, State, date,
 };
 pub use reference::Missing;
 pub use report::{QuantityReport, ReferenceReport, season_warning};

@@ -10,6 +10,9 @@ const SUDDEN_DAYS: usize = 5;
 /// Quantile of the normal distribution that the difference of both means must exceed for this.
 const SUDDEN_QUANTILE: f64 = 3.0;
 
+/// Smallest number of days on each side of a fall.
+const SPLIT_DAYS: usize = 3;
+
 /// Change of one judged day.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct DayChange {
@@ -49,6 +52,42 @@ impl LatestChanges {
             self.days.remove(0);
         }
         self.days.push(change);
+    }
+
+    /// Returns the last judged day.
+    pub(crate) fn last_day(&self) -> Option<i64> {
+        self.days.last().map(|change| change.day)
+    }
+
+    /// Returns `true` if a day was judged, and at least half of its evidence counts.
+    pub(crate) fn has_evidence_on(&self, day: i64) -> bool {
+        let last = self.days.last();
+        last.is_some_and(|change| change.day == day && change.share >= 0.5)
+    }
+
+    /// Returns the mean change of the latest days before a day, or `None` if there are too few.
+    pub(crate) fn before(&self, day: i64) -> Option<f64> {
+        let first = self.days.partition_point(|change| change.day < day);
+        let days = &self.days[..first];
+        let shares: f64 = days.iter().map(|change| change.share).sum();
+        let mean = mean(days).filter(|_| shares >= SPLIT_DAYS as f64)?;
+        Some(mean.size)
+    }
+
+    /// Returns the most likely day of a fall since a day: the split with the largest likelihood
+    /// ratio, with some days on both sides.
+    pub(crate) fn fall_day(&self, since_day: i64) -> Option<i64> {
+        let first = self.days.partition_point(|change| change.day < since_day);
+        let days = &self.days[first..];
+        let splits = SPLIT_DAYS..(days.len() + 1).saturating_sub(SPLIT_DAYS);
+        let falls = splits.filter_map(|split| {
+            let [before, after] = [mean(&days[..split])?, mean(&days[split..])?];
+            let fall = before.size - after.size;
+            let ratio = fall * fall / (before.alone + after.alone);
+            (fall > 0.0).then_some((ratio, days[split].day))
+        });
+        let best = falls.max_by(|a, b| a.0.total_cmp(&b.0));
+        best.map(|(_, day)| day)
     }
 
     /// Returns the weighted mean of the days since a day, or `None` if none of them counts.

@@ -13,6 +13,7 @@ use crate::interval::INTERVAL;
 use crate::model::{Columns, DEVIATIONS, Deviation, Row, Structure};
 use crate::regression::{Posterior, Series, Taught, weight};
 use crate::settings::Season;
+use crate::spread::Spread;
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -48,6 +49,8 @@ pub(crate) struct Reference {
     pub(crate) conditions: DVector<f64>,
     pub(crate) posterior: Posterior,
     pub(crate) guard: Guard,
+    /// Scatter of the commissioning.
+    pub(crate) spread: Spread,
     pub(crate) cumulant: Cumulant,
     /// The coldest frost days that have been learnt, per temperature, in ascending order.
     coldest: Vec<Vec<f64>>,
@@ -247,6 +250,7 @@ impl Reference {
             centre,
             conditions,
             guard: Guard::new(structure.freedom, &residuals),
+            spread: Spread::new(&residuals),
             posterior,
             cumulant,
             quantile,

@@ -250,7 +250,7 @@ impl Comparisons {
                 ..judgement
             };
         }
-        let raised = agreed(&awaited).is_some_and(|change| self.hold(change, frame.day));
+        let raised = agreed(&awaited).is_some_and(|change| self.hold(change, frame));
         let courses = if awaited.is_empty() { others } else { awaited };
         let judgement = deciding(courses).unwrap_or_else(|| self.without_thermometer(frame));
         Judgement {
@@ -264,7 +264,7 @@ impl Comparisons {
     /// that has grown.
     ///
     /// A notice does not replace an alarm.
-    fn hold(&mut self, finding: Finding, day: i64) -> bool {
+    fn hold(&mut self, finding: Finding, frame: Frame<'_>) -> bool {
         let is_alarm = finding.is_alarm();
         if !is_alarm && self.finding().is_some_and(|held| held.is_alarm()) {
             return false;
@@ -272,10 +272,11 @@ impl Comparisons {
         let change = finding.change();
         // An alarm replaces a notice.
         let known = self.held.filter(|held| held.finding.is_alarm() == is_alarm);
-        let is_raised = known.is_none_or(|held| is_alarm && has_grown(change, held.raised));
+        let is_raised = known
+            .is_none_or(|held| is_alarm && has_grown(change, held.raised, frame.settings.loss));
         let (found_day, raised) = match known {
             Some(held) if !is_raised => (held.finding.change().found_day, held.raised),
-            _ => (day, change.interval),
+            _ => (frame.day, change.interval),
         };
         self.held = Some(Held {
             finding: finding.with(Change {

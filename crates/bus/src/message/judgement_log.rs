@@ -55,7 +55,7 @@ impl LossChange {
                 ..open.clone()
             });
         };
-        // A loss that has doubled is found again.
+        // A further loss is found again.
         let is_same = |open: &Self| (open.state, open.change.found_ns) == (state, change.found_ns);
         if open.is_some_and(is_same) {
             return None;

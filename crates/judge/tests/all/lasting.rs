@@ -1,6 +1,6 @@
 //! What remains of a loss: an alarm stays, and a gain counts from the commissioning.
 
-use crate::support::{coverage, describe, judge, noise, settings};
+use crate::support::{coverage, describe, first_alarm, judge, noise, settings};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use spandrel_judge::{Epoch, Finding, Judge, Judgement, State};
@@ -92,6 +92,134 @@ fn a_slow_loss_is_stated_in_its_present_size() {
         assert!((2..20).contains(&raised), "{raised}");
         let last = judgements.last().unwrap();
         assert_eq!(last.state, State::Judged, "no day is judged any longer");
+    }
+}
+
+/// Judges hourly values of a quiet bridge, whose daily means scatter by 0.08 % of frequency.
+/// `scatter` and `stiffness` are those of a day.
+fn quiet(
+    seed: u64,
+    days: u32,
+    scatter: impl Fn(f64) -> f64,
+    stiffness: impl Fn(f64) -> f64,
+) -> Vec<Judgement> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut weather = 0.0;
+    let epoch = |index: u32| {
+        let day = f64::from(index) / 24.0;
+        weather = 0.985 * weather + 0.5 * noise(&mut random);
+        let season = 12.0 - 8.0 * (day * std::f64::consts::TAU / 365.25).cos();
+        let deck = season + weather;
+        let error = scatter(day) * noise(&mut random);
+        Epoch {
+            time_s: day * DAY_S,
+            quantities: vec![Some(
+                3.0 * (-0.0013 * deck + error).exp() * stiffness(day).sqrt(),
+            )],
+            conditions: vec![Some(deck)],
+        }
+    };
+    let epochs: Vec<Epoch> = (0..24 * days).map(epoch).collect();
+    let settings = settings(&["f1"], &["deck"], COMMISSIONING_DAYS);
+    let (state, judgements) = judge(settings, &epochs);
+    println!("seed {seed}");
+    describe(&state, &judgements);
+    judgements
+}
+
+/// Regression test: the deviation u followed the ramp, and no step explained it for months.
+#[test]
+fn a_loss_that_grows_within_a_month_is_raised_within_two_months() {
+    for seed in 1..=3 {
+        let loss = |day: f64| 0.05 * ((day - 430.0) / 30.0).clamp(0.0, 1.0);
+        let judgements = quiet(seed, 520, |_| 0.004, |day| 1.0 - loss(day));
+        let alarm = first_alarm(&judgements).expect("an alarm");
+        assert!((430..490).contains(&alarm.day), "{}", alarm.sentence());
+        let [low, high] = judgements
+            .last()
+            .unwrap()
+            .finding
+            .unwrap()
+            .change()
+            .interval;
+        assert!(low < 0.05 && 0.05 < high, "{low} to {high}");
+    }
+}
+
+/// Regression test: the guard and the evidence read the scatter as a loss.
+#[test]
+fn more_scatter_is_no_loss_and_hides_none() {
+    for seed in 1..=3 {
+        let scatter = |day: f64| if day < 430.0 { 0.004 } else { 0.02 };
+        let sound = quiet(seed, 800, scatter, |_| 1.0);
+        assert_eq!(first_alarm(&sound), None);
+        let late = sound.iter().filter(|judgement| judgement.day >= 460);
+        let coverage = coverage(late);
+        assert!(coverage > 0.85, "{coverage}");
+        let lost = quiet(
+            seed,
+            620,
+            scatter,
+            |day| {
+                if day < 580.0 { 1.0 } else { 0.93 }
+            },
+        );
+        let alarm = first_alarm(&lost).expect("an alarm");
+        assert!((580..620).contains(&alarm.day), "{}", alarm.sentence());
+    }
+}
+
+/// Regression test: the drop was stated as a loss of less than nothing, and never in its size.
+#[test]
+fn a_drop_from_a_level_that_had_risen_is_stated_in_its_size() {
+    for seed in 1..=3 {
+        let judgements = quiet(
+            seed,
+            620,
+            |_| 0.004,
+            |day| match day {
+                ..430.0 => 1.0,
+                ..560.0 => 1.1,
+                _ => 1.1 * 0.92,
+            },
+        );
+        let last = judgements.last().unwrap();
+        let sentence = last.sentence();
+        assert!(sentence.contains("has dropped by"), "{sentence}");
+        assert!(
+            sentence.contains("from a level that had risen"),
+            "{sentence}"
+        );
+        let change = *last.finding.expect("a finding").change();
+        assert!((change.drop - 0.08).abs() < 0.015, "{change:?}");
+        let raised = judgements.iter().filter(|one| one.raised);
+        let alarms = raised.filter(|one| one.finding.is_some_and(|f| f.is_alarm()));
+        assert_eq!(alarms.count(), 1);
+    }
+}
+
+/// Regression test: a second loss was raised only if it was larger than the first one.
+#[test]
+fn a_second_smaller_loss_is_raised_with_its_date() {
+    for seed in 1..=3 {
+        let judgements = quiet(
+            seed,
+            640,
+            |_| 0.004,
+            |day| match day {
+                ..430.0 => 1.0,
+                ..560.0 => 0.9,
+                _ => 0.83,
+            },
+        );
+        let raised: Vec<&Judgement> = judgements.iter().filter(|one| one.raised).collect();
+        assert_eq!(raised.len(), 2, "{raised:?}");
+        assert!((560..575).contains(&raised[1].day), "{raised:?}");
+        let change = *judgements.last().unwrap().finding.unwrap().change();
+        let further = change.further.expect("a further loss");
+        assert!((558..563).contains(&further.since_day), "{further:?}");
+        assert!((further.loss - 0.07).abs() < 0.02, "{further:?}");
+        assert!((428..433).contains(&change.since_day), "{change:?}");
     }
 }
 
