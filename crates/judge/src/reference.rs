@@ -250,7 +250,7 @@ impl Reference {
             centre,
             conditions,
             guard: Guard::new(structure.freedom, &residuals),
-            spread: Spread::new(&residuals),
+            spread: Spread::new(&residuals, spans >= YEAR_DAYS),
             posterior,
             cumulant,
             quantile,

@@ -24,17 +24,20 @@ pub(crate) struct Spread {
     usual: f64,
     /// |Δz| of the latest judged days, the oldest first.
     latest: Vec<f64>,
+    /// Whether the commissioning contains all seasons. Other seasons can have another scatter.
+    has_seasons: bool,
     /// Residual of the last judged day, in standard deviations of the commissioning.
     last: Option<f64>,
 }
 
 impl Spread {
     /// Starts after a commissioning with these residuals z, in the order of the days.
-    pub(crate) fn new(residuals: &[f64]) -> Self {
+    pub(crate) fn new(residuals: &[f64], has_seasons: bool) -> Self {
         let differences = residuals.windows(2).map(|pair| (pair[1] - pair[0]).abs());
         Self {
             usual: median(differences.collect()).unwrap_or(1.0),
             latest: Vec::with_capacity(DAYS),
+            has_seasons,
             last: None,
         }
     }
@@ -49,8 +52,12 @@ impl Spread {
         }
     }
 
-    /// Returns r, at least 1: the factor by which the scatter has become larger.
+    /// Returns r, at least 1: the factor by which the scatter has become larger. It is 1 after a
+    /// commissioning without all seasons.
     pub(crate) fn ratio(&self) -> f64 {
+        if !self.has_seasons {
+            return 1.0;
+        }
         let enough = Some(self.latest.clone()).filter(|latest| latest.len() >= FEWEST);
         let present = enough.and_then(median).unwrap_or(0.0);
         let s = present / self.usual.max(f64::MIN_POSITIVE);
@@ -71,7 +78,7 @@ mod tests {
     const SOUND: [f64; 8] = [0.5, -1.0, 0.2, 1.1, -0.4, 0.9, -1.3, 0.1];
 
     fn ratio(z: impl Fn(usize) -> f64) -> f64 {
-        let mut spread = Spread::new(&SOUND);
+        let mut spread = Spread::new(&SOUND, true);
         (0..60).for_each(|day| spread.add(z(day)));
         spread.ratio()
     }
