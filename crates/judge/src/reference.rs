@@ -56,8 +56,10 @@ pub(crate) struct Reference {
     coldest: Vec<Vec<f64>>,
     /// The same at the end of the commissioning, or of a later winter.
     coldest_of_past: Vec<Vec<f64>>,
-    /// Last learnt day of frost. Without one, the first day of the commissioning.
-    last_frost_day: i64,
+    /// Number of learnt days without frost since the last one with frost.
+    frost_free_days: i64,
+    /// First day of frost of the last winter. Without one, the first day of the commissioning.
+    winter_from: i64,
     /// The lowest and highest learnt values of each condition.
     extremes: Vec<Extremes>,
     /// q at the end of the commissioning: half of the 95 % interval of a day, in units of its
@@ -242,7 +244,8 @@ impl Reference {
         let mut reference = Self {
             coldest: vec![Vec::new(); columns.temperatures.len()],
             coldest_of_past: Vec::new(),
-            last_frost_day: from_day,
+            frost_free_days: 0,
+            winter_from: from_day,
             extremes: vec![Extremes::default(); explanation.count()],
             columns,
             structure,
@@ -338,11 +341,19 @@ impl Reference {
     /// Counts a learnt day among the coldest and among the extremes.
     pub(crate) fn remember(&mut self, day: &Day) {
         let depths: Vec<f64> = day.frost(self.structure.knot).collect();
-        if day.number - self.last_frost_day >= SEASON_DAYS {
+        // Where no summer is long enough, a winter is over after a year.
+        let is_over =
+            self.frost_free_days >= SEASON_DAYS || day.number - self.winter_from >= YEAR_DAYS;
+        if is_over {
             self.coldest_of_past.clone_from(&self.coldest);
         }
         if depths.iter().any(|depth| *depth < -FROST_DEPTH) {
-            self.last_frost_day = day.number;
+            self.frost_free_days = 0;
+            if is_over {
+                self.winter_from = day.number;
+            }
+        } else {
+            self.frost_free_days += 1;
         }
         for (coldest, depth) in self.coldest.iter_mut().zip(depths) {
             let place = coldest.partition_point(|known| *known <= depth);
