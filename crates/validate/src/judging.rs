@@ -179,14 +179,6 @@ impl Counts {
     }
 }
 
-/// Coverage of the interval after a short commissioning, within which its miss is known.
-const KNOWN_COVERAGE: Required = Required::Between {
-    low: 0.97,
-    high: 0.99,
-};
-const COVERAGE_MISSED: &str =
-    "the interval is too wide after 120 days, which leave the effect of the temperature uncertain";
-
 fn sound(
     run: &Run<'_>,
     site: Site,
@@ -217,14 +209,11 @@ fn sound(
         low: 0.93,
         high: 0.97,
     };
-    let mut inside = Figure::new(
+    let inside = Figure::new(
         "share of judged days in the 95 % interval",
         counts.inside / counts.judged,
         full(coverage),
     );
-    if commissioning < 365 {
-        inside = inside.known_miss_within(KNOWN_COVERAGE, COVERAGE_MISSED);
-    }
     let figures = vec![
         Figure::new("simulated years", years, Required::Reported),
         Figure::new(
