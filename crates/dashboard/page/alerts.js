@@ -2,7 +2,7 @@
 
 import { grouped, h, keyed, setAttribute, setText, unbroken } from "./dom.js";
 import { t } from "./language.js";
-import { SERVICES, STATES, canBeSeen, changedAt, isLasting, judged, keyOfAlert, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, timeOfAlert, whenWords, withMinus, wordOf } from "./words.js";
+import { SERVICES, STATES, canBeSeen, isLasting, judged, keyOfAlert, natural, place, rememberFilters, revisedWords, seenWords, setSentence, stateOf, time, timeOfChange, whenWords, withMinus, wordOf } from "./words.js";
 
 /** Key of the last entered name in local storage, the default for the next acknowledgement or note. */
 export const NAME_KEY = "spandrel-name";
@@ -88,9 +88,10 @@ export class AlertsPage {
     const withRaised = (alert) => ({ ...alert, raised_ns: isLasting(alert) ? alert.changed_ns : raised(alert)?.changed_ns });
     const standing = this.answer.standing.filter(isAsked).map(withRaised).sort((a, b) => order.indexOf(a.state) - order.indexOf(b.state) || b.changed_ns - a.changed_ns || natural(a.parameter, b.parameter));
     // The last change of an alert is the alert above.
-    const stateOfChange = (alert) => `${keyOfAlert(alert)}/${alert.state}/${changedAt(alert)}`;
-    const shownAbove = new Set(this.answer.standing.map(stateOfChange));
-    const all = this.answer.changes.filter((change) => isAsked(change) && !shownAbove.has(stateOfChange(change)));
+    const withState = (alert) => `${keyOfAlert(alert)}/${alert.state}`;
+    const states = new Set(this.answer.standing.map(withState));
+    const shownAbove = new Set(grouped(this.answer.changes, keyOfAlert).map(([newest]) => newest).filter((change) => states.has(withState(change))));
+    const all = this.answer.changes.filter((change) => isAsked(change) && !shownAbove.has(change));
     const changes = all.slice(0, MOST_CHANGES);
     this.left.hidden = all.length <= MOST_CHANGES;
     setText(this.left, t("older-changes-not-shown", all.length - changes.length));
@@ -147,7 +148,7 @@ class AlertList {
     updateAlert(newest, changes[0]);
     const first = changes.at(-1);
     folded.hidden = changes.length === 1;
-    const [word, since] = [STATES[first.state].word, timeOfAlert(first, changedAt(first))];
+    const [word, since] = [STATES[first.state].word, timeOfChange(first)];
     setText(title, changes.length === 2 ? t("changed-once", word, since) : t("changed-times", word, since, changes.length - 1));
     keyed(list, changes.slice(1), key, () => this.#make(), updateAlert);
   }

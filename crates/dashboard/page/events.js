@@ -6,7 +6,7 @@ import { NO_REPLY, fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } fro
 import { RangeBar } from "./ranges.js";
 import { samplesExport } from "./samples.js";
 import { DAY_S, Span } from "./span.js";
-import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, isLasting, judged, keyOfAlert, natural, place, revisedWords, seenWords, setSentence, stateWords, time, timeOfAlert, waveformsOf } from "./words.js";
+import { AROUND_S, COLUMNS, LISTED, SERVICES, STATES, URGENCIES, capitalised, changedAt, isLasting, judged, keyOfAlert, natural, place, revisedWords, seenWords, setSentence, stateWords, time, timeOfChange, waveformsOf } from "./words.js";
 import { longestRange } from "./waveforms.js";
 
 /** Kinds of events that the list can be limited to. */
@@ -141,7 +141,7 @@ export class EventsTab {
       const about = [change, ...others].map(({ parameter }) => parameter).sort(natural).join(", ");
       const what = change.state !== "normal" ? t("alert-became", sign, word) : returned.has(change) ? t("back-to-normal", sign) : `${sign} ${word}`;
       const more = [seenWords(change), revisedWords(change)].filter(Boolean).join(". ");
-      return { key: `${change.kind}/${about}/${change.state}`, time_ns: 1e9 * changedAt(change), when: timeOfAlert(change, changedAt(change)), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isLasting: isLasting(change), isAlert: true, isUrgent: LISTED.includes(change.state) };
+      return { key: `${change.kind}/${about}/${change.state}/${change.changed_ns}`, time_ns: 1e9 * changedAt(change), when: timeOfChange(change), measured_ns: change.changed_ns, about, what, more, why: change.why.replaceAll(change.parameter, about), level, parameter: change.parameter, isLasting: isLasting(change), isAlert: true, isUrgent: LISTED.includes(change.state) };
     };
     const ofEvent = ({ time_ns, kind, subject, what, why }) => {
       const isReport = kind === "earthquake-report";

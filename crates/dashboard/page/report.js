@@ -9,7 +9,7 @@ import { t } from "./language.js";
 import { fetchLog, keyOfChange, keyOfEvent, merged, whatLogLacks } from "./log.js";
 import { lateNotice, showTimes, timeIn } from "./ranges.js";
 import { searchField } from "./search.js";
-import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, attentionWords, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, judgementWords, keyOfAlert, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, timeOfAlert, unit, wordOf } from "./words.js";
+import { AROUND_S, COLUMNS, HEALTH, LEVELS, LISTED, NOT_STIFFNESS, NO_RULE, SERVICES, STATES, attentionWords, changedAt, conditionWords, coordinatesOf, duration, fitWord, isLasting, isUndecided, isWithoutDate, judgementWords, keyOfAlert, levelWords, modeWords, natural, notJudged, percent, probability, ratio, rememberFilters, reportOf, seenWords, setSentence, spanOf, stateOf, stateWords, time, timeOfChange, unit, wordOf } from "./words.js";
 
 /** Number of points of each plot. It is about as wide as that many dots. */
 const POINTS = 400;
@@ -234,7 +234,7 @@ function eventsOf({ events }, changes) {
   const ofAlert = (change) => {
     const { parameter, state, changed_ns: measured, why } = change;
     const { sign, level } = STATES[state];
-    return { time_s: changedAt(change), when: timeOfAlert(change, changedAt(change)), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why.replace(/\.$/, ""), seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
+    return { time_s: changedAt(change), when: timeOfChange(change), measured_s: measured / 1e9, about: parameter, what: `${sign} ${stateWords(change)}`, why: [why.replace(/\.$/, ""), seenWords(change)].filter(Boolean).join(". "), level, isListed: LISTED.includes(state) };
   };
   const ofEvent = ({ kind, subject, what, why, time_ns }) => ({ time_s: time_ns / 1e9, when: time(time_ns / 1e9), measured_s: time_ns / 1e9, what, ...eventWords({ kind, subject, why }), level: "learning", isListed: true, lang: SERVICES });
   return [...changes.map(ofAlert), ...events.map(ofEvent)].sort((a, b) => a.time_s - b.time_s);

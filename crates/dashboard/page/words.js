@@ -186,12 +186,21 @@ export function timeOfAlert(alert, seconds) {
 }
 
 /**
+ * Formats when an alert changed to its state. A lasting loss that was found again can be raised after the day on
+ * which it was found.
+ */
+export function timeOfChange(alert) {
+  const isFound = isLasting(alert) && alert.state === "raised";
+  return timeOfAlert(alert, isFound ? alert.found_ns / 1e9 : changedAt(alert));
+}
+
+/**
  * Returns the state of an alert with the time of its change. Of an acknowledged one, also when it was raised
  * (`raised_ns`), if that is known.
  */
 export function whenWords(alert) {
   const { state, raised_ns: raised } = alert;
-  const changed = `${STATES[state].word} ${timeOfAlert(alert, changedAt(alert))}`;
+  const changed = `${STATES[state].word} ${timeOfChange(alert)}`;
   if (state !== "acknowledged" || raised == null) return changed;
   return `${STATES.raised.word} ${timeOfAlert({ ...alert, state: "raised" }, raised / 1e9)} · ${changed}`;
 }

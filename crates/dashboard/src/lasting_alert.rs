@@ -26,6 +26,8 @@ pub(crate) struct LastingAlert<'s> {
     /// Start of the day on which the loss was found, ns since the Unix epoch, UTC. For a past change,
     /// the time of the change.
     pub(crate) changed_ns: i64,
+    /// Start of the day on which the loss was found, ns since the Unix epoch, UTC.
+    found_ns: i64,
     /// Loss of stiffness as a share of the reference.
     loss: f64,
     loss_interval: CredibleInterval,
@@ -61,6 +63,7 @@ impl<'s> LastingAlert<'s> {
             time_ns: display.day_ns.unwrap_or(change.found_ns),
             since_ns: change.since_ns,
             changed_ns: change.found_ns,
+            found_ns: change.found_ns,
             loss: change.loss,
             loss_interval: change.interval,
             acknowledged_by: seen.map(|seen| seen.who.as_str()),
@@ -85,6 +88,7 @@ impl<'s> LastingAlert<'s> {
             time_ns: past.time_ns,
             since_ns: past.change.since_ns,
             changed_ns: past.time_ns,
+            found_ns: past.change.found_ns,
             loss: past.change.loss,
             loss_interval: past.change.interval,
             acknowledged_by: seen.map(|seen| seen.who.as_str()),

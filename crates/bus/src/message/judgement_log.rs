@@ -16,7 +16,8 @@ pub struct LossChange {
     /// State after the change: raised, acknowledged, or cleared by a new reference.
     pub state: AlertState,
     /// Time of the change, ns since the Unix epoch, UTC: the start of the day on which the loss was
-    /// found, or the wall-clock time of its acknowledgement or end.
+    /// found, or the wall-clock time of its acknowledgement or end. It is later than that of the
+    /// change of the quantity before.
     pub time_ns: i64,
     /// The loss. If it is over, the loss before.
     pub change: LastingChange,
@@ -30,14 +31,23 @@ impl LossChange {
     /// Maximum number of changes of a structure that are kept.
     pub const MOST: usize = 256;
 
+    /// Shortest time between two changes of a quantity (ns). A reader with floating-point numbers,
+    /// such as a browser, distinguishes times that are at least 256 ns apart.
+    const STEP_NS: i64 = 1_000;
+
     /// Appends the change that a judgement reveals to those known before, oldest first. If there
     /// are more than [`Self::MOST`], drops the oldest. Returns `false` if nothing has changed.
     pub fn note(known: &mut Vec<Self>, now: &JudgementDisplay) -> bool {
         let mut former = known.iter().rev();
         let last = former.find(|former| former.quantity == now.quantity);
-        let Some(next) = Self::next(last, now) else {
+        let Some(mut next) = Self::next(last, now) else {
             return false;
         };
+        // A loss can be found again on the day on which it was acknowledged, or in a replay, whose
+        // days have long passed.
+        if let Some(last) = last.filter(|last| next.time_ns <= last.time_ns) {
+            next.time_ns = last.time_ns.saturating_add(Self::STEP_NS);
+        }
         known.push(next);
         let surplus = known.len().saturating_sub(Self::MOST);
         known.drain(..surplus);
@@ -158,6 +168,38 @@ mod tests {
         let bytes = log.encode().unwrap();
         let decoded = JudgementLog::decode("application/json", &bytes).unwrap();
         assert_eq!(decoded, log);
+    }
+
+    #[test]
+    fn a_loss_that_is_found_again_is_newer_than_its_acknowledgement() {
+        const HOUR_NS: i64 = 3_600_000_000_000;
+        let day = |number: i64| 24 * number * HOUR_NS;
+        let noon_ns = day(6) + 12 * HOUR_NS;
+        let seen = format!("{{\"who\":\"ada\",\"text\":\"crack\",\"time_ns\":{noon_ns}}}");
+        let all = [
+            found("lasting-loss", day(5), "null"),
+            found("lasting-loss", day(5), &seen),
+            found("lasting-loss", day(6), "null"),
+            // The days of a replay are before the acknowledgement.
+            found("lasting-loss", day(6) + 1, "null"),
+            found("lasting-loss", day(7), "null"),
+        ];
+        let mut changes = Vec::new();
+        for display in all {
+            assert!(LossChange::note(&mut changes, &display));
+        }
+        let told: Vec<(AlertState, i64)> = changes
+            .iter()
+            .map(|change| (change.state, change.time_ns))
+            .collect();
+        let expected = [
+            (AlertState::Raised, day(5)),
+            (AlertState::Acknowledged, noon_ns),
+            (AlertState::Raised, noon_ns + 1_000),
+            (AlertState::Raised, noon_ns + 2_000),
+            (AlertState::Raised, day(7)),
+        ];
+        assert_eq!(told, expected);
     }
 
     #[test]
