@@ -117,7 +117,8 @@ async fn the_page_is_in_german_for_a_german_browser() {
                 const line = document.createElement('p'); line.lang = 'en'; \
                 setSentence(line, 'lost 12 % since 2026-11-29 12:30:14 UTC, found 05.09.2026, \
                 file 2026-11-29T12'); \
-                const times = ['29.11.2026 12:30:14', '2026-11-29 12:30:14 UTC', 'gestern']; \
+                const times = ['29.11.2026 12:30:14', '2026-11-29 12:30:14 UTC', 'gestern', \
+                '2026-02-31', '29.02.2026 12:30', '29.02.2028']; \
                 return [line.textContent, wordOf('duplicate-items'), fieldOf(1795955414), \
                 times.map(timeOfField)]; })()";
     assert_eq!(
@@ -126,7 +127,14 @@ async fn the_page_is_in_german_for_a_german_browser() {
             "Lost 12 % since 29.11.2026 12:30:14 UTC, found 05.09.2026, file 2026-11-29T12",
             "doppelte Werte",
             "29.11.2026 12:30:14",
-            [1_795_955_414, 1_795_955_414, null]
+            [
+                1_795_955_414,
+                1_795_955_414,
+                null,
+                null,
+                null,
+                1_835_395_200
+            ]
         ])
     );
 

@@ -90,7 +90,10 @@ export function fieldOf(seconds) {
  */
 export function timeOfField(text) {
   const [, iso, day, month, year, of = "00:00", utc] = FIELD.exec(text.trim()) ?? [];
-  return Date.parse(`${iso ?? `${year}-${month}-${day}`}T${of}${local && !utc ? "" : "Z"}`) / 1000;
+  const date = iso ?? `${year}-${month}-${day}`;
+  // Some browsers take 31 February for 3 March.
+  if (new Date(`${date}T00:00Z`).toJSON()?.slice(0, 10) !== date) return NaN;
+  return Date.parse(`${date}T${of}${local && !utc ? "" : "Z"}`) / 1000;
 }
 
 /** Makes a field take a time as text. The browser's own field has another format, and no time can be pasted. */
