@@ -17,7 +17,7 @@ import { SensorsTab } from "./sensors.js";
 import { SettingsTab } from "./settings.js";
 import { DAY_S, Points, Scale, Span } from "./span.js";
 import { Tabs } from "./tabs.js";
-import { AROUND_S, LEVELS, SERVICES, TABS, addressOf, attentionWords, bySeverity, canBeSeen, duration, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
+import { AROUND_S, SERVICES, TABS, addressOf, attentionWords, bySeverity, canBeSeen, duration, fitWord, isLasting, keyOfAlert, lag, place, reportOf, sensorsOf, setSentence, spanOf, time, wordOf } from "./words.js";
 
 /** Interval at which the plots are drawn (ms), independent of the rate of the points. */
 const DRAW_EVERY_MS = 250;
