@@ -36,6 +36,8 @@ export class StructurePage {
   /** Address of what is shown. */
   #shown = null;
   #leave = [];
+  /** Whether the details were unfolded before a print. Null without one. */
+  #wasOpen = null;
 
   constructor(connection, name, tab, parameters) {
     this.name = name;
@@ -65,7 +67,7 @@ export class StructurePage {
       const isOnPaper = type === "beforeprint";
       this.#current?.plots.forEach((plot) => plot.print(isOnPaper));
       if (isOnPaper) this.#unfold();
-      else if (this.parts) this.#foldHead();
+      else this.#restoreFold();
     };
     for (const event of PRINT) addEventListener(event, this.print);
     this.timer = setInterval(() => this.#draw(), DRAW_EVERY_MS);
@@ -173,6 +175,7 @@ export class StructurePage {
   #unfold() {
     if (!this.parts || !this.#current) return;
     this.#current.draw?.({ isPrint: true });
+    this.#wasOpen ??= this.parts.more.open;
     this.parts.more.open = true;
     const span = this.#current.hasSpan ? this.span : this.#current.span;
     const at = this.#current.key === "lasting" ? dateOf : time;
@@ -182,6 +185,12 @@ export class StructurePage {
     const shown = isKnown ? [t("report-period", at(min), at(max), duration(max - min))] : [];
     const texts = [this.about.description, ...shown, t("printed-at", time(Date.now() / 1000))];
     setText(this.paper, texts.filter(Boolean).join(" · "));
+  }
+
+  /** Restores the details as they were before a print. */
+  #restoreFold() {
+    if (this.#wasOpen !== null) this.parts.more.open = this.#wasOpen;
+    this.#wasOpen = null;
   }
 
   /** Folds the details of the state away, except beside the parts. The plots of the other tabs need the room. */
