@@ -132,9 +132,9 @@ export class LastingTab {
     setText(this.title, `${LEVELS[level].sign} ${this.chosen ?? t("no-quantity")}`);
     setSentence(this.sentence, judgement?.sentence ?? t("the-service-judge-has-not-reported-yet"));
     const seen = judgement?.seen;
-    // The plots need the room, if the sentence is at the top of the page.
-    const lost = /^.* has lost (?:stiffness|[\d.]+ % of stiffness)/.exec(judgement?.sentence ?? "");
-    this.sentence.hidden = lost !== null && this.page.told().includes(lost[0]);
+    // The plots need the room, if the sentence is at the top of the page, maybe between others.
+    const own = this.sentence.textContent.replace(/\.$/, "");
+    this.sentence.hidden = `; ${this.page.told()}; `.includes(`; ${own}; `);
     this.card.hidden = this.sentence.hidden && !seen;
     this.spent = judgement?.spent ?? null;
     this.seen.hidden = !seen;
