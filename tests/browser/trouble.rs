@@ -95,7 +95,16 @@ async fn repeated_changes_of_a_part_and_equal_reasons_share_one_entry() {
         tab.update({ changes: [{ ...alert, ...seen }, { ...alert, state: 'normal' }, { ...alert, state: 'raised', time_ns: 1.6e18 + 200e9 }], events: [] });
         const cells = [...tab.rows.children].map(({ children: [time, , what] }) => [time.textContent, what.querySelector('strong').textContent, what.lastElementChild.hidden ? '' : what.lastElementChild.textContent]);
         const link = tab.rows.firstElementChild.querySelector('a.button').hash.split('at=')[1];
-        return [of, cells, link];
+        // Regression: a lasting loss and its acknowledgement were also listed as events.
+        const day = 86400e9;
+        const loss = { kind: 'lasting-loss', parameter: 'storey-2', state: 'raised', changed_ns: 18000 * day, time_ns: 18000 * day, found_ns: 18000 * day, acknowledged_by: null, acknowledged_ns: null, note: null, why: 'storey-2 has lost 5.0 % of stiffness.' };
+        const noted = { state: 'acknowledged', changed_ns: 18002 * day, time_ns: 18002 * day, acknowledged_by: 'Ada', acknowledged_ns: 18002 * day, note: 'crack' };
+        const event = (of, kind, what, why) => ({ time_ns: of * day + 1e9, kind, subject: 'storey-2', what, why });
+        const told = [event(18001, 'lasting-change', 'lasting-loss', `${loss.why} Configuration a.`), event(18002, 'annotation', 'inspection: acknowledged', 'Ada: crack')];
+        const others = [event(18001, 'lasting-change', 'stiffer', 'storey-2 has gained'), event(18003, 'annotation', 'inspection', 'Ada: crack')];
+        tab.update({ changes: [{ ...loss, ...noted }, loss], events: [...told, ...others] });
+        const once = [...tab.rows.children].map((row) => row.querySelector('strong').textContent);
+        return [of, cells, link, once];
       })()";
     assert_eq!(
         browser.evaluate(events).await,
@@ -110,7 +119,13 @@ async fn repeated_changes_of_a_part_and_equal_reasons_share_one_entry() {
                     "Figures as of 2020-09-13 12:30:00 UTC"
                 ]
             ],
-            "1600000000.000"
+            "1600000000.000",
+            [
+                "Inspection",
+                "● alert acknowledged (lasting loss)",
+                "Stiffer",
+                "▲ alert raised (lasting loss)"
+            ]
         ])
     );
 }

@@ -12,6 +12,8 @@ import { longestRange } from "./waveforms.js";
 /** Kinds of events that the list can be limited to. */
 const KINDS = { all: t("all-events"), urgent: t("alerts-that-need-attention"), others: t("sensors-nodes-and-services") };
 
+/** Lasting changes that are alerts. */
+const LOSSES = ["lasting-loss", "learned-away"];
 /** Number of events that are shown at first, and with each press of the button below. A phone shows few rows. */
 const STEP = matchMedia("(max-width: 760px)").matches ? 50 : 200;
 /** Shortest interval between two requests for the newest events (ms). */
@@ -99,10 +101,11 @@ export class EventsTab {
   /** Returns the changes, the newest first, and the events of the span, with those of the log. */
   #known({ events, changes }) {
     const { isLive, from_s, to_s } = this.span;
-    const all = [merged(changes, this.#log?.changes ?? [], keyOfChange).sort((a, b) => b.changed_ns - a.changed_ns), merged(events, this.#log?.events ?? [], keyOfEvent)];
-    if (isLive) return all;
-    const isWithin = (at_ns) => at_ns / 1e9 >= from_s && at_ns / 1e9 <= to_s;
-    return [all[0].filter(({ changed_ns: at }) => isWithin(at)), all[1].filter(({ time_ns: at }) => isWithin(at))];
+    const isWithin = (at_ns) => isLive || (at_ns / 1e9 >= from_s && at_ns / 1e9 <= to_s);
+    const listed = merged(changes, this.#log?.changes ?? [], keyOfChange).filter(({ changed_ns: at }) => isWithin(at)).sort((a, b) => b.changed_ns - a.changed_ns);
+    const losses = listed.filter(isLasting);
+    const happened = merged(events, this.#log?.events ?? [], keyOfEvent).filter(({ time_ns: at }) => isWithin(at));
+    return [listed, happened.filter((event) => !losses.some((change) => isToldBy(event, change, this.page.name)))];
   }
 
   /** Fetches the log again if the history has not replied, or if more has happened since than a message contains. */
@@ -214,6 +217,20 @@ export class EventsTab {
     setText(name, parameter ? what : capitalised(what));
     return { element: h("tr", { "data-level": level }, h("td", { class: "number" }, h("time", {}, when)), h("td", {}, about), h("td", {}, name, why, more), h("td", {}, h("div", { class: "row-actions" }, h("div", { class: "buttons" }, read, show), samples))), why, more };
   }
+}
+
+/**
+ * Returns whether the event of a lasting loss or of its acknowledgement says the same as a change of the loss.
+ * A loss that was found on a day is published on the day after it, or later after an outage.
+ */
+function isToldBy({ kind, subject, what, why, time_ns: at }, change, structure) {
+  const { parameter, state, found_ns: found, acknowledged_by: who, note } = change;
+  if (kind === "lasting-change") {
+    const day = (ns) => Math.floor(ns / 1e9 / DAY_S);
+    return subject === parameter && state !== "cleared" && LOSSES.includes(what) && (day(at) === day(found) + 1 || why.startsWith(change.why));
+  }
+  const isSeen = kind === "annotation" && /(?:^|: )acknowledged$/.test(what);
+  return isSeen && state === "acknowledged" && [parameter, structure].includes(subject) && why === `${who}: ${note}`;
 }
 
 /**
