@@ -3,7 +3,9 @@
 //! A new reference in the past judges the past again, and so does another configuration. What was
 //! stated before can therefore not be repeated from the epochs.
 
-use spandrel_bus::{JudgementDisplay, JudgementLog, LossChange, Message as _, Name};
+use spandrel_bus::{
+    JudgementDisplay, JudgementLog, LossChange, Message as _, Name, read_text_up_to,
+};
 use spandrel_checkpoint::{Failures, replace_private_file};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -11,6 +13,8 @@ use tracing::{info, warn};
 
 /// Name of the file, in the folder of the epochs.
 pub(crate) const FILE: &str = "judge-losses.json";
+/// Maximum size of the file (bytes), above that of a log whose texts all have their longest form.
+const MOST_BYTES: u64 = 8 << 20;
 
 /// The last changes of the lasting losses, which are kept in a file.
 #[derive(Debug)]
@@ -87,12 +91,13 @@ impl LossLog {
 
 /// Returns the log of a structure in a file, or `None` if there is no file.
 fn read(path: &Path, structure: &Name) -> io::Result<Option<JudgementLog>> {
-    let bytes = match std::fs::read(path) {
-        Ok(bytes) => bytes,
+    let text = match read_text_up_to(path, MOST_BYTES) {
+        Ok(text) => text,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error),
     };
-    let log = JudgementLog::decode("application/json", &bytes).map_err(io::Error::other)?;
+    let log =
+        JudgementLog::decode("application/json", text.as_bytes()).map_err(io::Error::other)?;
     if log.structure != *structure {
         return Err(io::Error::other(format!("is about {}", log.structure)));
     }
