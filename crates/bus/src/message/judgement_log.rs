@@ -13,7 +13,8 @@ use crate::name::Name;
 pub struct LossChange {
     /// The quantity.
     pub quantity: Name,
-    /// State after the change: raised, acknowledged, or cleared by a new reference.
+    /// State after the change: raised, acknowledged, or cleared. A loss is cleared by a new
+    /// reference, by settings with which it is not found, or if the epochs are lost.
     pub state: AlertState,
     /// Time of the change, ns since the Unix epoch, UTC: the start of the day on which the loss was
     /// found, or the wall-clock time of its acknowledgement or end. It is later than that of the
