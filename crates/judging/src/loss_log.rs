@@ -54,11 +54,13 @@ impl LossLog {
         &self.log
     }
 
-    /// Keeps the changes that the present judgements reveal. If they cannot be written, they wait.
+    /// Keeps the changes that the present judgements of all quantities reveal. If they cannot be
+    /// written, they wait.
     pub(crate) fn note(&mut self, displays: &[JudgementDisplay]) {
         for display in displays {
             self.is_saved &= !LossChange::note(&mut self.log.changes, display);
         }
+        self.is_saved &= !LossChange::end_unjudged(&mut self.log.changes, displays);
         self.flush();
     }
 

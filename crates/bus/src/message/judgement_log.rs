@@ -1,6 +1,7 @@
 //! The past of the lasting losses of one structure.
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 use super::{
     AlertState, ChangeSeen, Format, JudgementDisplay, LastingChange, Malformed, Message,
@@ -14,7 +15,8 @@ pub struct LossChange {
     /// The quantity.
     pub quantity: Name,
     /// State after the change: raised, acknowledged, or cleared. A loss is cleared by a new
-    /// reference, by settings with which it is not found, or if the epochs are lost.
+    /// reference, by settings with which it is not found, if the epochs are lost, or if its
+    /// quantity is not judged any more.
     pub state: AlertState,
     /// Time of the change, ns since the Unix epoch, UTC: the start of the day on which the loss was
     /// found, or the wall-clock time of its acknowledgement or end. It is later than that of the
@@ -41,9 +43,43 @@ impl LossChange {
     pub fn note(known: &mut Vec<Self>, now: &JudgementDisplay) -> bool {
         let mut former = known.iter().rev();
         let last = former.find(|former| former.quantity == now.quantity);
-        let Some(mut next) = Self::next(last, now) else {
+        let Some(next) = Self::next(last, now) else {
             return false;
         };
+        Self::append(known, next);
+        true
+    }
+
+    /// Appends the end of the losses whose quantity is not judged any more. `now` contains the
+    /// judgements of all quantities of the structure. Returns `false` if nothing has changed.
+    pub fn end_unjudged(known: &mut Vec<Self>, now: &[JudgementDisplay]) -> bool {
+        let Some(first) = now.first() else {
+            return false;
+        };
+        let is_judged = |name: &Name| now.iter().any(|display| display.quantity == *name);
+        let last: BTreeMap<&Name, &Self> = known
+            .iter()
+            .map(|change| (&change.quantity, change))
+            .collect();
+        let ended: Vec<Self> = last
+            .into_values()
+            .filter(|last| last.state != AlertState::Cleared && !is_judged(&last.quantity))
+            .map(|last| {
+                let sentence = format!("{} is no longer judged.", last.quantity);
+                last.cleared(first.time_ns, sentence)
+            })
+            .collect();
+        let has_changed = !ended.is_empty();
+        for change in ended {
+            Self::append(known, change);
+        }
+        has_changed
+    }
+
+    /// Appends a change, and drops the oldest ones above [`Self::MOST`].
+    fn append(known: &mut Vec<Self>, mut next: Self) {
+        let mut former = known.iter().rev();
+        let last = former.find(|former| former.quantity == next.quantity);
         // A loss can be found again on the day on which it was acknowledged, or in a replay, whose
         // days have long passed.
         if let Some(last) = last.filter(|last| next.time_ns <= last.time_ns) {
@@ -52,19 +88,23 @@ impl LossChange {
         known.push(next);
         let surplus = known.len().saturating_sub(Self::MOST);
         known.drain(..surplus);
-        true
+    }
+
+    /// Returns the end of this loss.
+    fn cleared(&self, time_ns: i64, sentence: String) -> Self {
+        Self {
+            state: AlertState::Cleared,
+            time_ns,
+            sentence,
+            ..self.clone()
+        }
     }
 
     /// Returns the change from the last one of the quantity. `None` if nothing has changed.
     fn next(last: Option<&Self>, now: &JudgementDisplay) -> Option<Self> {
         let open = last.filter(|last| last.state != AlertState::Cleared);
         let Some((state, change)) = now.alert_state().zip(now.change) else {
-            return open.map(|open| Self {
-                state: AlertState::Cleared,
-                time_ns: now.time_ns,
-                sentence: now.sentence.clone(),
-                ..open.clone()
-            });
+            return open.map(|open| open.cleared(now.time_ns, now.sentence.clone()));
         };
         // A further loss is found again.
         let is_same = |open: &Self| (open.state, open.change.found_ns) == (state, change.found_ns);
@@ -201,6 +241,35 @@ mod tests {
             (AlertState::Raised, day(7)),
         ];
         assert_eq!(told, expected);
+    }
+
+    #[test]
+    fn the_loss_of_a_quantity_that_is_not_judged_any_more_ends_once() {
+        let mut changes = Vec::new();
+        LossChange::note(&mut changes, &found("lasting-loss", 5, "null"));
+        let deck = found("lasting-loss", 5, "null");
+        let girder = JudgementDisplay {
+            quantity: Name::new("girder").unwrap(),
+            ..display("\"change\":null")
+        };
+        assert!(!LossChange::end_unjudged(&mut changes, &[]));
+        assert!(!LossChange::end_unjudged(
+            &mut changes,
+            &[girder.clone(), deck]
+        ));
+        assert!(LossChange::end_unjudged(
+            &mut changes,
+            std::slice::from_ref(&girder)
+        ));
+        assert!(!LossChange::end_unjudged(
+            &mut changes,
+            std::slice::from_ref(&girder)
+        ));
+        assert_eq!(changes.len(), 2);
+        let last = &changes[1];
+        assert_eq!((last.state, last.time_ns), (AlertState::Cleared, 9));
+        assert_eq!(last.quantity.as_str(), "deck");
+        assert_eq!(last.sentence, "deck is no longer judged.");
     }
 
     #[test]
