@@ -369,9 +369,12 @@ fn rows_that_are_not_in_the_order_of_time_are_left_out_with_a_warning() {
     disturbed.insert(1000, format!("1956528000,{values}"));
     disturbed.insert(801, lines[800].to_owned());
     let stderr = run(&disturbed);
-    assert!(stderr.contains("rows.csv:802: time "), "{stderr}");
+    assert!(
+        stderr.contains("rows.csv line=802 reason=time "),
+        "{stderr}"
+    );
     assert!(stderr.contains("is not later than"), "{stderr}");
-    assert!(stderr.contains("2 of 2042 rows are left out"), "{stderr}");
+    assert!(stderr.contains("left_out=2 rows=2042"), "{stderr}");
     assert!(!stderr.contains("daylight saving"), "{stderr}");
     // Local times without a zone repeat an hour.
     let local = disturbed.iter().map(|line| {
@@ -436,18 +439,18 @@ fn a_note_about_something_else_or_another_time_is_named_with_its_line() {
         (
             "footbridge",
             "footbrige",
-            "notes.jsonl:2: note is left out: structure is `footbrige`, must be `footbridge`",
+            "notes.jsonl line=2 reason=structure is `footbrige`, must be `footbridge`",
         ),
         (
             "first-bending",
             "first-bendng",
-            "notes.jsonl:2: note is left out: quantity is `first-bendng`, must be one of: \
+            "notes.jsonl line=2 reason=quantity is `first-bendng`, must be one of: \
              `first-bending`, `first-torsion`",
         ),
         (
             "1762300800000000000",
             "1762300800",
-            "notes.jsonl:2: the new reference has no effect: it begins 1970-01-01T00:00:01Z",
+            "notes.jsonl line=2 begins=1970-01-01T00:00:01Z",
         ),
     ] {
         let (stdout, stderr) = run(from, to);

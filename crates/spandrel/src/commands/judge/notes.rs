@@ -39,8 +39,8 @@ pub(super) fn read(
     })?;
     let mut references = Vec::new();
     for NotedLine { line, annotation } in read_annotations(&text, path) {
-        if let Some(other) = other_subject(&annotation, structure) {
-            warn!("{}:{line}: note is left out: {other}", path.display());
+        if let Some(reason) = other_subject(&annotation, structure) {
+            warn!(file = %path.display(), line, %reason, "note left out");
             continue;
         }
         if let Some(new) = new_reference(&annotation, judge.settings()) {
@@ -78,12 +78,13 @@ pub(super) fn warn_outside(references: &[NotedReference], span_s: [f64; 2]) {
             continue;
         }
         warn!(
-            "{}:{line}: the new reference has no effect: it begins {}, must be {} to {}, the times \
-             of the series (`from_ns` is in nanoseconds since 1970)",
-            path.display(),
-            utc(new.time_s),
-            utc(first_s),
-            utc(last_s)
+            file = %path.display(),
+            line,
+            begins = %utc(new.time_s),
+            earliest = %utc(first_s),
+            latest = %utc(last_s),
+            "new reference has no effect, because it begins outside the series (`from_ns` is in \
+             nanoseconds since 1970)"
         );
     }
 }

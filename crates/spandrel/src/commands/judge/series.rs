@@ -16,6 +16,9 @@ const MOST_HELD: usize = 100;
 /// Largest share of rows that may be out of order: one in this number. With more of them, the file
 /// has another order, and what remains would be no series.
 const ONE_IN: u64 = 10;
+/// What to do about rows that are not in order, if their times have no zone.
+const ZONE_HINT: &str = "the times have no zone: a local time repeats an hour when daylight \
+                         saving ends; write UTC, or times with their offset";
 
 /// A row of a series.
 #[derive(Debug, Clone)]
@@ -123,7 +126,7 @@ impl InOrder {
         let Some(first) = self.first else {
             return Ok(());
         };
-        let what = match first.previous_ns {
+        let reason = match first.previous_ns {
             Some(previous_ns) => format!(
                 "time {} is not later than {} of the row before it",
                 utc(first.time_ns),
@@ -135,26 +138,25 @@ impl InOrder {
             ),
         };
         let (left_out, rows) = (self.left_out, self.rows);
-        let zone = match have_zone {
-            true => "",
-            false => {
-                ". The times have no zone: a local time repeats an hour when daylight saving \
-                 ends; write UTC, or times with their offset"
-            }
-        };
+        let hint = (!have_zone).then_some(ZONE_HINT);
         if left_out.saturating_mul(ONE_IN) > rows {
+            let what = format!(
+                "{reason}; {left_out} of {rows} rows are not in the order of time, must be at most \
+                 a tenth"
+            );
             return Err(AppError::SeriesValue {
                 path: path.to_owned(),
                 line: first.line,
                 column: column.to_owned(),
-                what: format!(
-                    "{what}; {left_out} of {rows} rows are not in the order of time, must be at \
-                     most a tenth{zone}"
-                ),
+                what: [what.as_str()]
+                    .into_iter()
+                    .chain(hint)
+                    .collect::<Vec<_>>()
+                    .join("; "),
             });
         }
-        let (path, line) = (path.display(), first.line);
-        warn!("{path}:{line}: {what}; {left_out} of {rows} rows are left out{zone}");
+        let (file, line) = (path.display(), first.line);
+        warn!(%file, line, %reason, left_out, rows, hint, "rows left out");
         Ok(())
     }
 }
