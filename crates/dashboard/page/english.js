@@ -552,6 +552,7 @@ export const english = {
   "threshold": "threshold",
   "threshold-lost": "threshold: {0} lost",
   "time": "Time",
+  "time-must-have-the-format": "The time must exist and have the format {0}.",
   "time-of-the-record-h-min-s": "time of the record (h:min:s)",
   "time-of-the-small-plots": " From left to right: {0} to {1}.",
   "time-since-the-start-h-min-s": "time since the start (h:min:s)",

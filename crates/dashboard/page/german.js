@@ -552,6 +552,7 @@ export const german = {
   "threshold": "Schwelle",
   "threshold-lost": "Schwelle: {0} verloren",
   "time": "Zeitpunkt",
+  "time-must-have-the-format": "Die Zeit muss existieren und das Format {0} haben.",
   "time-of-the-record-h-min-s": "Zeit der Aufzeichnung (h:min:s)",
   "time-of-the-small-plots": " Von links nach rechts: {0} bis {1}.",
   "time-since-the-start-h-min-s": "Zeit seit dem Anfang (h:min:s)",

@@ -78,8 +78,8 @@ export class NoteDialog {
     const [from, to] = [this.from, this.to].map(({ value }) => (value ? timeOfField(value) : null));
     if (!text) return this.#refuse(t("please-enter-a-note"), this.text);
     if (!who) return this.#refuse(t("please-enter-your-name"), this.who);
-    if (Number.isNaN(from)) return this.#refuse(t("format-of-a-time"), this.from);
-    if (Number.isNaN(to)) return this.#refuse(t("format-of-a-time"), this.to);
+    if (Number.isNaN(from)) return this.#refuse(t("time-must-have-the-format", t("format-of-a-time")), this.from);
+    if (Number.isNaN(to)) return this.#refuse(t("time-must-have-the-format", t("format-of-a-time")), this.to);
     if (from !== null && from > now) return this.#refuse(t("beginning-in-the-future"), this.from);
     if (to !== null && to < (from ?? now)) return this.#refuse(t("end-not-before-beginning"), this.to);
     localStorage.setItem(NAME_KEY, who);
