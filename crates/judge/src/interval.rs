@@ -2,7 +2,7 @@
 //!
 //! - q ← q + γ (m − 0.05), m = 1 for a day outside its interval, and 0 for one inside it
 //!
-//! After n days, the share outside is 0.05 + (q − q0)/(γ n), whatever the errors are, as long as q
+//! After n days, the share outside is 0.05 + (q − q0)/(γ n), regardless of the errors, as long as q
 //! is within its limits. Source: Gibbs & Candès (2021), Adaptive conformal inference under
 //! distribution shift, Advances in Neural Information Processing Systems 34. They adapt the level.
 //! This form adapts q itself, so that the interval remains finite: the quantile tracking of
