@@ -16,7 +16,7 @@
 //! }
 //! assert_eq!(alerts[0].state, AlertState::Pending);
 //! assert_eq!(alerts[1].state, AlertState::Raised);
-//! assert!(alerts[1].why.starts_with("storey-2 has lost 14 % of its stiffness"));
+//! assert!(alerts[1].why.starts_with("storey-2 has lost 14.0 % of its stiffness"));
 //! # Ok::<(), spandrel_alert::AlertError>(())
 //! ```
 //!

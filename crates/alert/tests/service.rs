@@ -159,7 +159,7 @@ async fn loss_is_raised_acknowledged_and_answered_on_query() {
     assert!(
         raised
             .why
-            .starts_with("storey-1 has lost 14 % of its stiffness"),
+            .starts_with("storey-1 has lost 14.0 % of its stiffness"),
         "{}",
         raised.why
     );

@@ -27,7 +27,7 @@ fn loss_in_strong_motion_is_softening_and_raises_nothing() {
     assert_eq!(drive.states(), [(SofteningInMotion, 5), (Normal, 40)]);
     let why = &drive.alerts[0].why;
     for part in [
-        "storey-2 is softer by 14 % of its stiffness",
+        "storey-2 is softer by 14.0 % of its stiffness",
         "in strong motion of up to 2.00 m/s²: whether this amplitude explains it is not known yet",
         "this alone shows no damage; a lasting loss is judged from weak motion, 5 minutes after \
          the strong motion",
