@@ -19,6 +19,7 @@ use spandrel_history::Address;
 use spandrel_identify::Precedence;
 use spandrel_record::frame_log::check_unused;
 use spandrel_structure::{Severity, Structure};
+use std::panic::resume_unwind;
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
 
@@ -438,16 +439,15 @@ pub fn run(
     block_on(async {
         let interrupted = interrupted();
         tokio::pin!(interrupted);
-        let join = async {
-            let bus = Bus::open(&plan.settings.bus).await?;
-            plan.check_role(&bus, services, share).await?;
-            Ok::<_, AppError>(bus)
-        };
+        let config = plan.settings.bus.clone();
+        // Opening blocks a thread for as long as no router answers.
+        let opening = tokio::spawn(async move { Bus::open(&config).await });
         let bus = tokio::select! {
-            joined = join => joined?,
-            // A router that cannot be reached is waited for as long as the configuration states.
-            () = &mut interrupted => return Ok(()),
+            opened = opening => opened.unwrap_or_else(|failed| resume_unwind(failed.into_panic()))?,
+            // The runtime would wait for that thread. Nothing has been started yet.
+            () = &mut interrupted => std::process::exit(0),
         };
+        plan.check_role(&bus, services, share).await?;
         let mut hangups = Hangups::new();
         let mut page = page.clone();
         let ended = loop {
