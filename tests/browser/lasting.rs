@@ -198,9 +198,11 @@ async fn a_report_without_new_data_contains_the_loss(browser: &mut Browser) {
     );
     let back = "location.hash = '#/structure/demo/lasting?quantity=storey-1'";
     browser.evaluate(back).await;
-    browser
-        .wait("the year after the report", &lost_once())
-        .await;
+    let shown = format!(
+        "{} && document.getElementById('add-note') !== null",
+        lost_once()
+    );
+    browser.wait("the year after the report", &shown).await;
 }
 
 async fn a_note_is_entered_by_keyboard(browser: &mut Browser) {

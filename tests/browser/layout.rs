@@ -468,7 +468,7 @@ async fn an_alert_names_contact_runbook_and_the_last_notice_to_each_receiver() {
             .await,
         json!([
             [
-                "Contact: Ada, +41 44 123 45 67 Runbook",
+                "Contact: Ada, +41 44 123 45 67 · Runbook",
                 "Notified: ada@site.example (2026-10-14 17:46:40 UTC)",
                 "▲ Not notified: hooks.example (2026-10-14 17:47:40 UTC: replied with 503; \
                  retrying)",

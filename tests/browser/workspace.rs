@@ -656,7 +656,7 @@ async fn axe_finds_no_obstacle_without_data_without_a_model_and_in_a_report_of_a
     for (hash, content) in [
         ("#/", ".structure-card"),
         ("#/alerts", ".alerts-page .empty"),
-        ("#/report", ".report[data-state=complete] .empty"),
+        ("#/report", ".report[data-state=complete]"),
         ("#/structure/sensors-only", ".top #natural-frequencies"),
         ("#/structure/sensors-only/compare", ".two-ranges"),
         ("#/structure/sensors-only/lasting", ".judged"),
