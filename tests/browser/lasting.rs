@@ -295,7 +295,7 @@ async fn the_plots_are_zoomed_and_read_by_keyboard(browser: &mut Browser) {
         .await;
     // Regression: it was the warmest day.
     let scatter = format!(
-        "/^2025-11-2. · -?[0-9.]+ °C · measured /.test({})",
+        "/^2025-11-2. · [−-]?[0-9.]+ °C · measured /.test({})",
         readout("scatter")
     );
     browser.wait("values over the temperature", &scatter).await;
