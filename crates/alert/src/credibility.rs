@@ -127,7 +127,7 @@ pub fn probability_of_loss(estimate: &ParameterEstimate, reference: &Reference, 
 
 /// Returns the loss against the reference with its 95 % interval.
 ///
-/// The interval refers to the structure, so it contains the [error of the model](MODEL_ERROR). It
+/// The interval refers to the structure, so it contains the error of the model. It
 /// increases s² by (0.05·(r − m))². The rules compare losses as the model measures them, so
 /// [`probability_of_loss`] does not contain it.
 ///
