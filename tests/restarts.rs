@@ -562,16 +562,18 @@ fn a_stop_while_the_router_does_not_answer_ends_the_process() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("house.toml");
     std::fs::write(&file, two_storeys("")).unwrap();
-    let router = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = format!("tcp/{}", router.local_addr().unwrap());
-    let mut command = spandrel("run");
-    command
-        .arg(&file)
-        .args(["--http", "none", "--connect", &address])
-        .env("SPANDREL_STATE__FOLDER", folder.path().join("state"));
-    let process = Process::start(&mut command);
-    let _silent = router.accept().unwrap();
-    process.stop().expect_code(0);
+    for subcommand in ["run", "dashboard"] {
+        let router = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = format!("tcp/{}", router.local_addr().unwrap());
+        let mut command = spandrel(subcommand);
+        command
+            .arg(&file)
+            .args(["--http", "127.0.0.1:0", "--connect", &address])
+            .env("SPANDREL_STATE__FOLDER", folder.path().join("state"));
+        let process = Process::start(&mut command);
+        let _silent = router.accept().unwrap();
+        process.stop().expect_code(0);
+    }
 }
 
 /// Regression: the second process put the checkpoints of the first aside before it failed.

@@ -214,7 +214,7 @@ impl Detector {
         self.held_loss >= HELD_DAYS
     }
 
-    /// Returns `true` if the evidence of a loss has held for a month, whatever its most likely step.
+    /// Returns `true` if the evidence of a loss has held for a month, regardless of its most likely step.
     pub(crate) fn shows_loss_for_long(&self) -> bool {
         self.held_evidence >= HELD_DAYS_SLOW
     }

@@ -55,12 +55,11 @@ impl Spread {
     /// Returns r, at least 1: the factor by which the scatter has become larger. It is 1 after a
     /// commissioning without all seasons.
     pub(crate) fn ratio(&self) -> f64 {
-        if !self.has_seasons {
+        // Without a usual scatter, there is nothing to compare with.
+        if !self.has_seasons || self.usual == 0.0 || self.latest.len() < FEWEST {
             return 1.0;
         }
-        let enough = Some(self.latest.clone()).filter(|latest| latest.len() >= FEWEST);
-        let present = enough.and_then(median).unwrap_or(0.0);
-        let s = present / self.usual.max(f64::MIN_POSITIVE);
+        let s = median(self.latest.clone()).unwrap_or(0.0) / self.usual;
         (1.0 + (s * s - CHANCE * CHANCE).max(0.0)).sqrt()
     }
 }
@@ -81,6 +80,13 @@ mod tests {
         let mut spread = Spread::new(&SOUND, true);
         (0..60).for_each(|day| spread.add(z(day)));
         spread.ratio()
+    }
+
+    #[test]
+    fn residuals_that_never_differed_give_no_ratio() {
+        let mut spread = Spread::new(&[0.0; 400], true);
+        (0..60).for_each(|day| spread.add(SOUND[day % SOUND.len()]));
+        assert_eq!(spread.ratio(), 1.0);
     }
 
     #[test]

@@ -23,6 +23,7 @@ use spandrel_service::{Monitored, Service as _, ServiceInstance};
 use spandrel_structure::{Reference, Structure};
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::task::Poll;
@@ -766,6 +767,20 @@ pub fn interrupted() -> impl Future<Output = ()> {
         if asked.await.is_err() {
             std::future::pending::<()>().await; // the runtime is shutting down
         }
+    }
+}
+
+/// Awaits the opening of a session, which blocks its thread for as long as no router answers.
+///
+/// The stop signal `interrupted` meanwhile ends the process with exit code 0. Nothing has been
+/// started yet, and the runtime would wait for the blocked thread.
+pub async fn open_unless_stopped<T: Send + 'static>(
+    opening: impl Future<Output = T> + Send + 'static,
+    interrupted: impl Future<Output = ()>,
+) -> T {
+    tokio::select! {
+        opened = tokio::spawn(opening) => opened.unwrap_or_else(|failed| resume_unwind(failed.into_panic())),
+        () = interrupted => std::process::exit(0),
     }
 }
 

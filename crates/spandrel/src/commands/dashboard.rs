@@ -5,7 +5,7 @@ use super::watch::joining_by_default;
 use crate::cli::RunArguments;
 use crate::error::AppError;
 use crate::role_check::{Need, Work, cannot_acknowledge, check};
-use crate::services::{Running, block_on, interrupted, read_structures};
+use crate::services::{Running, block_on, interrupted, open_unless_stopped, read_structures};
 use crate::settings::Settings;
 use crate::supervision::{feed_watchdog, tell_systemd};
 use sd_notify::NotifyState;
@@ -27,8 +27,11 @@ pub fn run(arguments: &RunArguments) -> Result<(), AppError> {
         .ok_or(AppError::NoPage)?;
     let config = joining_by_default(settings.bus);
     block_on(async {
-        let bus = Bus::open(&config).await?;
         let interrupted = interrupted();
+        tokio::pin!(interrupted);
+        let joined = config.clone();
+        let opening = async move { Bus::open(&joined).await };
+        let bus = open_unless_stopped(opening, &mut interrupted).await?;
         let structures = watched
             .iter()
             .map(|watched| watched.structure.name())

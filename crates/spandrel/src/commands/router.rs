@@ -3,7 +3,7 @@
 use super::print;
 use crate::cli::RouterArguments;
 use crate::error::AppError;
-use crate::services::{block_on, interrupted};
+use crate::services::{block_on, interrupted, open_unless_stopped};
 use spandrel_bus::Bus;
 use tracing::{info, warn};
 
@@ -14,8 +14,11 @@ use tracing::{info, warn};
 /// endpoint is in use.
 pub fn run(arguments: &RouterArguments) -> Result<(), AppError> {
     block_on(async {
-        let (bus, listen) = Bus::open_router(&arguments.file).await?;
         let interrupted = interrupted();
+        tokio::pin!(interrupted);
+        let file = arguments.file.clone();
+        let opening = async move { Bus::open_router(&file).await };
+        let (bus, listen) = open_unless_stopped(opening, &mut interrupted).await?;
         print(&format!("router: {}\n", listen.join(" ")))?;
         info!(file = %arguments.file.display(), "ready");
         interrupted.await;

@@ -5,7 +5,9 @@ use super::print;
 use crate::cli::{PageArguments, ServiceArguments};
 use crate::error::AppError;
 use crate::role_check::{Need, Work, cannot_acknowledge, check};
-use crate::services::{Running, Share, Watched, block_on, interrupted, read_structures};
+use crate::services::{
+    Running, Share, Watched, block_on, interrupted, open_unless_stopped, read_structures,
+};
 use crate::settings::Settings;
 use crate::state::State;
 use crate::supervision::{Hangups, feed_watchdog, keep_folders, report_lost_readers, tell_systemd};
@@ -19,7 +21,6 @@ use spandrel_history::Address;
 use spandrel_identify::Precedence;
 use spandrel_record::frame_log::check_unused;
 use spandrel_structure::{Severity, Structure};
-use std::panic::resume_unwind;
 use std::process::{Command, Stdio};
 use tracing::{info, warn};
 
@@ -440,13 +441,8 @@ pub fn run(
         let interrupted = interrupted();
         tokio::pin!(interrupted);
         let config = plan.settings.bus.clone();
-        // Opening blocks a thread for as long as no router answers.
-        let opening = tokio::spawn(async move { Bus::open(&config).await });
-        let bus = tokio::select! {
-            opened = opening => opened.unwrap_or_else(|failed| resume_unwind(failed.into_panic()))?,
-            // The runtime would wait for that thread. Nothing has been started yet.
-            () = &mut interrupted => std::process::exit(0),
-        };
+        let opening = async move { Bus::open(&config).await };
+        let bus = open_unless_stopped(opening, &mut interrupted).await?;
         plan.check_role(&bus, services, share).await?;
         let mut hangups = Hangups::new();
         let mut page = page.clone();
